@@ -248,6 +248,15 @@ def test_locked_mechanism(method):
 
 
 @pytest.mark.parametrize("method", list(STEPPING))
+def test_slip_that_no_impulse_changes(method):
+    # nothing acts along the surface: friction has its bound, and v_t stays what it is
+    problem = ImpactProblem(np.diag([0.0, 0.0, 2.0]), (3.0, -4.0, -1.0), 0.3, 0.5)
+    stepped = solve_impact(problem, method, **STEPPING[method])
+    assert stepped.velocity == pytest.approx([3.0, -4.0, 0.5], abs=1e-12)
+    assert stepped.impulse == pytest.approx(0.75 * np.array([-0.18, 0.24, 1.0]), rel=1e-12)
+
+
+@pytest.mark.parametrize("method", list(STEPPING))
 def test_slip_and_approach_that_end_together(method):
     """With s = 0 and W's own velocities v₃ = κ·v_t: rounding makes no second compression of that end."""
     fine = STEPPING | {"euler": {"steps": 1000}, "rk4": {"steps": 200}}

@@ -28,16 +28,10 @@ def asymmetry(w):
 @inlined
 def write_result(i, result, numbers, codes):
     """Write row i: v⁺, P and the compression impulse (7); status, flags and iterations (3)."""
-    numbers[i, 0] = result.v1
-    numbers[i, 1] = result.v2
-    numbers[i, 2] = result.v3
-    numbers[i, 3] = result.p1
-    numbers[i, 4] = result.p2
-    numbers[i, 5] = result.p3
+    codes[i, 0], codes[i, 1], codes[i, 2] = result.status, result.flags, result.iterations
+    numbers[i, 0], numbers[i, 1], numbers[i, 2] = result.v1, result.v2, result.v3
+    numbers[i, 3], numbers[i, 4], numbers[i, 5] = result.p1, result.p2, result.p3
     numbers[i, 6] = result.compression_impulse
-    codes[i, 0] = result.status
-    codes[i, 1] = result.flags
-    codes[i, 2] = result.iterations
 
 
 @declared(

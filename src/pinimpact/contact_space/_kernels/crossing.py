@@ -39,7 +39,7 @@ def _without_friction(problem, p3, values):
     values[PATH + B1], values[PATH + B2] = 0.5 * k1 * p3 * p3, 0.5 * k2 * p3 * p3
     size = math.sqrt(b1 * b1 + b2 * b2)
     i1 = i2 = m1 = m2 = 0.0
-    if size * p3 <= 0.25 * problem.speed or size == 0.0:
+    if size * p3 <= 0.25 * problem.speed:
         # a short part of the line: 1/|v_t| is a polynomial
         for i in range(NODES):
             q = p3 * ABSCISSAE[i]

@@ -195,8 +195,8 @@ def _spread(w11, w12, w13, w22, w23, w33):
 
 @inlined
 def _unit_of(x):
-    """Return a power of two near 1/√x, and 1 for zero."""
-    return math.ldexp(1.0, -((math.frexp(x)[1] + 1) // 2)) if x > 0.0 else 1.0
+    """Return a power of two near 1/√x."""
+    return math.ldexp(1.0, -((math.frexp(x)[1] + 1) // 2))
 
 
 @inlined
@@ -213,7 +213,7 @@ def _graded(w11, w12, w13, w22, w23, w33):
     l1, l2, l3, x, y, z = _sort3(l1, l2, l3, x, y, z)
     zero = ZERO * l3
     largest = max(max(abs(g12), abs(g13)), abs(g23))
-    if abs(l1) <= zero and l2 > CORRELATED and largest > CORRELATED:
+    if abs(l1) <= zero and l2 > CORRELATED:
         n1, n2, n3 = x[0] * u1, x[1] * u2, x[2] * u3
         norm = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
         n = (n1 / norm, n2 / norm, n3 / norm)
@@ -242,7 +242,7 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
     l1, l2, l3, x, y, z = _sort3(l1, l2, l3, x, y, z)
     zero = ZERO * max(abs(l1), abs(l3))
     nought, one = 0.0, 1.0
-    if l1 < -zero or not (l3 >= 0.0):
+    if l1 < -zero:
         return Delassus(
             np.int64(-1), *(w11, w12, w13, w22, w23, w33, nought, nought, nought, l1, one),
             *(nought, nought, one, False),

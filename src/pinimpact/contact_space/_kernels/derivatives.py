@@ -413,7 +413,7 @@ def differentiate_into(
     Args:
         w11 … factor: As in `solve_into`.
         scratch: (SCRATCH + ROOM,) of any numbers,
-        moves: and (MAX_MOVES, MOVE).
+        moves: and (MAX_MOVES + 1, MOVE).
         out: (6, SLOPES) takes the derivatives; NaN in columns that have none.
         i, numbers, codes, boundaries: Row i takes the answer and flags, as in `differentiate_rows`.
     """
@@ -427,7 +427,7 @@ def differentiate_into(
         return
     boundaries[i] = RANK if result.flags & SINGULAR_DELASSUS else NO_FLAG
     rows = result.trace_rows
-    if result.status > LOCKED or rows + 1 == MAX_MOVES or result.flags & LOCKS:
+    if result.status > LOCKED or result.flags & LOCKS:
         _fill(out, 0, SLOPES, math.nan)
         return
     _, _, _, view, problem = prepare(*given)
@@ -452,7 +452,7 @@ def differentiate_rows(
         slopes: (N, 6, SLOPES) receives the derivatives by v, W, μ and e; NaN in columns that have none.
         boundaries: (N,) receives flags of `Boundary`.
     """
-    scratch, moves, none = np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES, MOVE)), np.empty(0)
+    scratch, moves, none = np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES + 1, MOVE)), np.empty(0)
     delassus, velocity, friction = borrowed(delassus), borrowed(velocity), borrowed(friction)
     restitution, velocity_scale, factors = borrowed(restitution), borrowed(velocity_scale), borrowed(factors)
     slopes, boundaries = borrowed(slopes), borrowed(boundaries)

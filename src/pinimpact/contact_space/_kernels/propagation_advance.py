@@ -73,7 +73,7 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
             restores = state.normal[j] == RISING or state.normal[j] == HELD
             works[j, 1 if restores else 0] += normal_work
             works[j, 2] += friction_work
-            if rows.shape[0] > 0 and state.impulse[z] > before:
+            if state.impulse[z] > before:
                 slips = state.tangent[j] == SLIPPING or state.tangent[j] == FREE
                 mode, phase = IN_SLIP if slips else IN_STICK, RESTITUTION if restores else COMPRESSION
                 last = latest[j]

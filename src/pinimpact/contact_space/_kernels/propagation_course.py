@@ -184,12 +184,11 @@ def _moved_end(system, state, left, ends):
 
 @inlined
 def _fly(system, state, time):
-    """Let open contacts move on for a time, at whose end the first of them close."""
+    """Let all contacts, which are open, move on for a time, at whose end the first of them close."""
     for j in range(len(state.normal)):
-        if state.normal[j] == OPEN:
-            state.indentation[j] -= time * state.v[3 * j + 2]
-            if state.indentation[j] >= -ROUNDED and state.v[3 * j + 2] < -ROUNDED:
-                close(system, state, j)
+        state.indentation[j] -= time * state.v[3 * j + 2]
+        if state.indentation[j] >= -ROUNDED and state.v[3 * j + 2] < -ROUNDED:
+            close(system, state, j)
 
 
 @inlined

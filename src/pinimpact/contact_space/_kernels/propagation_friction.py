@@ -166,7 +166,7 @@ def _redundant(system, state, weight):
         heaviest = max(heaviest, weight[j])
     at = np.empty(n, dtype=np.int64)
     for j in range(n):
-        if state.tangent[j] == STUCK and system.friction[j] > 0.0 and weight[j] > WEAK * heaviest:
+        if state.tangent[j] == STUCK and weight[j] > WEAK * heaviest:
             at[count] = j
             count += 1
     size = 2 * count
@@ -287,12 +287,11 @@ def _holding(system, state, forces):
     """Return the contacts whose friction holds and matters, and the largest bound of friction."""
     n, strongest, count = len(system.friction), 0.0, 0
     for j in range(n):
-        if state.tangent[j] == STUCK or state.tangent[j] == BOUND:
+        if state.tangent[j] == STUCK:
             strongest = max(strongest, system.friction[j] * forces[3 * j + 2])
     at = np.empty(n, dtype=np.int64)
     for j in range(n):
-        holds = state.tangent[j] == STUCK or state.tangent[j] == BOUND
-        if holds and system.friction[j] * forces[3 * j + 2] > WEAK * strongest:
+        if state.tangent[j] == STUCK and system.friction[j] * forces[3 * j + 2] > WEAK * strongest:
             at[count] = j
             count += 1
     return at[:count].copy(), strongest

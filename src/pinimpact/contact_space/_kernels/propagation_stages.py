@@ -12,6 +12,7 @@ import numpy as np
 
 from ..._compile.declared import Floats
 from ..._compile.jit import inlined
+from ..._numeric.cone_program import cholesky, substitute
 from .tolerances import BALANCED, ROUNDED
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
@@ -126,7 +127,10 @@ def _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
             return
         last = off
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)
-        _solve(matrix, gradient, way)
+        cholesky(matrix)
+        for k in range(r):
+            way[k] = -gradient[k]
+        substitute(matrix, way)
         for i in range(3 * n):
             change[i] = 0.0
             for k in range(r):
@@ -164,28 +168,6 @@ def _curvature(rows, bound, creep, springs, stiff, penetration, part, v, matrix)
                 px, py = xx * rows[x, k] + xy * rows[y, k], xy * rows[x, k] + yy * rows[y, k]
                 for m in range(k + 1):
                     matrix[k, m] += px * rows[x, m] + py * rows[y, m]
-
-
-@inlined
-def _solve(matrix, right, x):
-    """Fill x (r,) with the solution of matrix x = −right by Cholesky's factors, which replace the matrix."""
-    r = len(x)
-    for k in range(r):
-        for m in range(k + 1):
-            total = matrix[k, m]
-            for i in range(m):
-                total -= matrix[k, i] * matrix[m, i]
-            matrix[k, m] = math.sqrt(total) if m == k else total / matrix[m, m]
-    for k in range(r):
-        total = -right[k]
-        for i in range(k):
-            total -= matrix[k, i] * x[i]
-        x[k] = total / matrix[k, k]
-    for k in range(r - 1, -1, -1):
-        total = x[k]
-        for i in range(k + 1, r):
-            total -= matrix[i, k] * x[i]
-        x[k] = total / matrix[k, k]
 
 
 @inlined

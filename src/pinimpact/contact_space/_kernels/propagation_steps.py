@@ -171,7 +171,7 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
             assign(path[step - 1, 1:], impulse)
         _fill_forces(contacts, v[0], force[0])
         speed, time, pressed = _outlook(contacts, v[0], force[0], mobility)
-        if speed <= max(SLOW, accuracy) or (not pressed and time == NEVER):
+        if speed <= max(SLOW, accuracy):
             return step
         if not pressed:
             _fly(contacts, v[0], time)

@@ -18,25 +18,21 @@ as many on one around an invariant direction, which spans `SETTLED` e-folds."""
 
 @inlined
 def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work):
-    """Append a move to the trace, or lengthen the last row if it goes on or there is room for no other.
+    """Append a move to the trace, or lengthen the last row if it is the same.
 
     Args:
         trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
         rows: How many there are.
     """
-    full = rows == trace.shape[0]
-    if rows > 0 and (full or (trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase)):
+    if rows > 0 and trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase:
         trace[rows - 1, 3] = end
         trace[rows - 1, 4] += normal_work
         trace[rows - 1, 5] += friction_work
         return rows
-    if end > start and not full:
-        trace[rows, 0] = mode
-        trace[rows, 1] = phase
-        trace[rows, 2] = start
-        trace[rows, 3] = end
-        trace[rows, 4] = normal_work
-        trace[rows, 5] = friction_work
+    if end > start and rows < trace.shape[0]:
+        trace[rows, 0], trace[rows, 1] = mode, phase
+        trace[rows, 2], trace[rows, 3] = start, end
+        trace[rows, 4], trace[rows, 5] = normal_work, friction_work
         return rows + 1
     return rows
 
@@ -48,39 +44,28 @@ def record_course(trace, row, mode, phase, start, end, move):
     Args:
         trace: (m, MOVE) rows mode, phase, P₃ at start and end, normal work, 0, the event that ends it;
             σ₁, σ₂, speed and p₀ at its start; length, root and rate of the `Move`; P₁, P₂ at its start.
-        row: Which row; the last one is used again if there is none after it.
+        row: Which row, not the last.
         start, end: `State` before and after it.
         move: The `Move`.
 
     Returns:
         the next row.
     """
-    trace[row, 0] = mode
-    trace[row, 1] = phase
-    trace[row, 2] = start.p3
-    trace[row, 3] = end.p3
-    trace[row, 4] = move.work
-    trace[row, 5] = 0.0
-    trace[row, 6] = move.event
-    trace[row, 11] = move.length
-    trace[row, 12] = move.root
-    trace[row, 13] = move.rate
+    trace[row, 0], trace[row, 1] = mode, phase
+    trace[row, 2], trace[row, 3] = start.p3, end.p3
+    trace[row, 4], trace[row, 5], trace[row, 6] = move.work, 0.0, move.event
+    trace[row, 11], trace[row, 12], trace[row, 13] = move.length, move.root, move.rate
     record_state(trace, row, start)
-    if row + 1 < trace.shape[0]:
-        record_state(trace, row + 1, end)
-        return row + 1
-    return row
+    record_state(trace, row + 1, end)
+    return row + 1
 
 
 @inlined
 def record_state(trace, row, state):
     """Write a `State` into a row of a trace with MOVE columns."""
-    trace[row, 7] = state.s1
-    trace[row, 8] = state.s2
-    trace[row, 9] = state.speed
-    trace[row, 10] = state.turn
-    trace[row, 14] = state.p1
-    trace[row, 15] = state.p2
+    trace[row, 7], trace[row, 8] = state.s1, state.s2
+    trace[row, 9], trace[row, 10] = state.speed, state.turn
+    trace[row, 14], trace[row, 15] = state.p1, state.p2
 
 
 @inlined
@@ -89,17 +74,14 @@ def record_point(path, points, p3, v1, v2, v3, p1, p2):
 
     A point with the P₃ of the last one takes its place, but the first point stays.
     """
-    if points > 0 and points <= path.shape[0] and path[points - 1, 0] == p3:
+    if points > 0 and path[points - 1, 0] == p3:
         if points == 1:
             return points
         points -= 1
     if points < path.shape[0]:
         path[points, 0] = p3
-        path[points, 1] = v1
-        path[points, 2] = v2
-        path[points, 3] = v3
-        path[points, 4] = p1
-        path[points, 5] = p2
+        path[points, 1], path[points, 2], path[points, 3] = v1, v2, v3
+        path[points, 4], path[points, 5] = p1, p2
         return points + 1
     return points
 

@@ -49,25 +49,24 @@ class SlipSeries(NamedTuple):
 
 
 @inlined
+def _roots(k0, k1, k2):
+    """Return the roots of k₀ + k₁t + k₂t², infinite ones for none."""
+    square = k1 * k1 - 4.0 * k0 * k2
+    if square < 0.0:
+        return math.inf, math.inf
+    q = -0.5 * (k1 + math.copysign(math.sqrt(square), k1))
+    return k0 / q if q != 0.0 else math.inf, q / k2 if k2 != 0.0 else math.inf
+
+
+@inlined
 def first_root(k0, k1, k2, end, size):
     """Return the first root of k₀ + k₁t + k₂t² strictly between 0 and `end`, or `end` itself.
 
     v₃ has an extremum there. One within 10⁻⁹ `size` of the present point changes it by less than rounding.
     """
-    square = k1 * k1 - 4.0 * k0 * k2
-    if square < 0.0:
-        return end
-    q = -0.5 * (k1 + math.copysign(math.sqrt(square), k1))
-    near = abs(end)
-    least = 1e-9 * abs(size)
-    found = end
-    if q != 0.0:
-        t = k0 / q
-        if t * end > 0.0 and least < abs(t) < near:
-            found, near = t, abs(t)
-    if k2 != 0.0:
-        t = q / k2
-        if t * end > 0.0 and least < abs(t) < near:
+    found, least = end, 1e-9 * abs(size)
+    for t in _roots(k0, k1, k2):
+        if t * end > 0.0 and least < abs(t) < abs(found):
             found = t
     return found
 
@@ -78,18 +77,8 @@ def last_root(k0, k1, k2, start):
 
     Those close to 0 have all their digits.
     """
-    square = k1 * k1 - 4.0 * k0 * k2
-    if square < 0.0:
-        return 0.0
-    q = -0.5 * (k1 + math.copysign(math.sqrt(square), k1))
-    most = (1.0 - 1e-9) * abs(start)
-    found = 0.0
-    if q != 0.0:
-        t = k0 / q
-        if t * start > 0.0 and abs(t) < most:
-            found = t
-    if k2 != 0.0:
-        t = q / k2
+    found, most = 0.0, (1.0 - 1e-9) * abs(start)
+    for t in _roots(k0, k1, k2):
         if t * start > 0.0 and abs(found) < abs(t) < most:
             found = t
     return found

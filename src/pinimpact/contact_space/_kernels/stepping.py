@@ -94,7 +94,8 @@ def _stepping_of(problem, table, rtol):
         along = b1 * problem.s1 + b2 * problem.s2
         braking = mu * (a11 * v1 * v1 + 2.0 * a12 * v1 * v2 + a22 * v2 * v2) / (speed * speed) - along
         scale = speed / braking
-    lasting = problem.flat and not problem.planar  # slip across the range of A never ends
+    # slip across the range of A never ends
+    lasting = (problem.flat and not problem.planar) or a11 + a22 == 0.0
     negligible = rtol if rtol > 0.0 else ROUNDED if table.grading > 0.0 else 0.0
     return Stepping(
         *(table, (a11, a12, a22, b1, b2), c, mu, problem.flat, lasting, problem.counts, rtol, scale),

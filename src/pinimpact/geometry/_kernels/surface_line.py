@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ..._compile.jit import inlined
 from . import surface_sphere
-from .constants import LINE_AXIS, SIZE
+from .constants import LINE_AXIS
+from .surface_sphere import least_radius as least_radius
 
 
 @inlined
@@ -28,9 +29,3 @@ def normal_rate(k, x1, x2, x3, v1, v2, v3):
     y1, y2, y3 = across(k, x1, x2, x3)
     w1, w2, w3 = across(k, v1, v2, v3)
     return surface_sphere.normal_rate(k, y1, y2, y3, w1, w2, w3)
-
-
-@inlined
-def least_radius(k):
-    """Return R."""
-    return k[SIZE]

@@ -85,11 +85,8 @@ def motion_cross(J, k, v1, v2, v3, w1, w2, w3):
 @inlined
 def _turned_by(J, k, f1, f2, f3, n1, n2, n3):
     """Return how a force (6) changes that turns by J_k: (J_k × x)·f = −x·this."""
-    a1, a2, a3, b1, b2, b3 = J[0, k], J[1, k], J[2, k], J[3, k], J[4, k], J[5, k]
-    x1, x2, x3 = cross(b1, b2, b3, f1, f2, f3)
-    y1, y2, y3 = cross(a1, a2, a3, f1, f2, f3)
-    z1, z2, z3 = cross(b1, b2, b3, n1, n2, n3)
-    return x1, x2, x3, y1 + z1, y2 + z2, y3 + z3
+    n1, n2, n3, f1, f2, f3 = motion_cross(J, k, n1, n2, n3, f1, f2, f3)
+    return f1, f2, f3, n1, n2, n3
 
 
 @declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, FLOATS, FLOAT_ROWS)

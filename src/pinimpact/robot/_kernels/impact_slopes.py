@@ -207,7 +207,7 @@ def robot_slopes(work, q, v, e, slope, by_q, out):
     v1, v2, v3 = relative
     differentiate_into(
         *(0, w11, w12, w13, w22, w23, w33, v1, v2, v3, work.friction, e, work.law, scale),
-        *(singular[:known], np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES, MOVE))),
+        *(singular[:known], np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES + 1, MOVE))),
         *(numbers, codes, slopes, boundary),
     )
     status = codes[0, 0]

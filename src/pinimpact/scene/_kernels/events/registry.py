@@ -21,11 +21,10 @@ GAP, JOINT_LIMIT, SATURATION, FRICTION_REVERSAL, SLIP_END, FORCE_BOUND = range(l
 
 @inlined
 def _take(work, kind, found):
-    """Keep an event if it comes before the end of the search; return whether the search goes on."""
+    """Keep an event that comes before the end of the search."""
     time, which = found
     if time < math.inf:
         work.event_time, work.event_kind, work.event_index = time, kind, which
-    return work.event_time > -math.inf
 
 
 @inlined
@@ -38,14 +37,10 @@ def _end(work):
 def find_first_event(work):
     """Leave time, kind and index of the first event in the step last completed; see `event_time`."""
     work.event_time = math.inf
-    if not _take(work, GAP, gap.first(work, _end(work))):
-        return
-    if not _take(work, JOINT_LIMIT, joint_limit.first(work, _end(work))):
-        return
-    if not _take(work, SATURATION, saturation.first(work, _end(work))):
-        return
-    if not _take(work, FRICTION_REVERSAL, friction_reversal.first(work, _end(work))):
-        return
-    if not _take(work, SLIP_END, slip_end.first(work, _end(work))):
-        return
-    _take(work, FORCE_BOUND, force_bound.first(work, _end(work)))
+    _take(work, GAP, gap.first(work, _end(work)))
+    _take(work, JOINT_LIMIT, joint_limit.first(work, _end(work)))
+    _take(work, SATURATION, saturation.first(work, _end(work)))
+    _take(work, FRICTION_REVERSAL, friction_reversal.first(work, _end(work)))
+    _take(work, SLIP_END, slip_end.first(work, _end(work)))
+    if work.event_time > -math.inf:  # else a shorter step is asked for
+        _take(work, FORCE_BOUND, force_bound.first(work, _end(work)))
