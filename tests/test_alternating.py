@@ -109,6 +109,31 @@ def test_a_control_that_chatters_is_crossed_and_comes_to_rest_where_it_must():
     assert errors[1] < 1e-3
 
 
+@pytest.mark.parametrize(
+    "control",
+    [lambda t, q, v: -np.sign(v), lambda t, q, v: -np.tanh(v / 1e-9)],
+    ids=["jump", "stiff"],
+)
+def test_accepted_steps_that_lead_nowhere_come_to_an_end(control):
+    """Few of them are refused and velocities change by errors: 10⁸ of them would cover a second."""
+    scene, v0 = Scene(slider(), control=control), [1.0, 0.4, 0.2]
+    with pytest.raises(SimulationError, match="jumps again and again, or is too stiff") as caught:
+        simulate(scene, np.zeros(3), v0, 3.0, scheme="event-driven")
+    partial = caught.value.partial
+    assert partial.statistics["steps"] < 1000
+    assert partial.t[-1] == pytest.approx(0.4, abs=1e-3)
+    crossed = automatic(scene, np.zeros(3), v0, 3.0)
+    np.testing.assert_allclose(crossed.q[-1, :2], np.square(v0[:2]) / 2.0, atol=2e-3)
+
+
+def test_short_steps_lead_somewhere_where_velocities_change():
+    rate = 1e8
+    scene = Scene(slider(), control=lambda t, q, v: -(rate**2) * q)
+    trajectory = simulate(scene, np.zeros(3), [1.0, 0.4, 0.2], 4e-6, scheme="event-driven")
+    assert trajectory.statistics["steps"] > 400
+    np.testing.assert_allclose(trajectory.v[-1], np.array([1.0, 0.4, 0.2]) * np.cos(400.0), atol=1e-4)
+
+
 def test_events_of_the_user_happen_once_and_in_time_while_steps_cross():
     seen = []
     event = Event(lambda t, q, v: t - 2.0, lambda t, q, v: seen.append(t), name="two")

@@ -20,7 +20,7 @@ from .effects import CROWD
 from .event_watch import EventWatch
 from .hybrid_state import HybridState
 from .integrator import Integrator
-from .progress import RUBBING
+from .progress import BY_EVENTS, RUBBING, ended
 from .recorder import Mark
 from .records import SteppedInterval
 from .time_stepping import TimeStepping
@@ -41,9 +41,6 @@ STEPS_PER_SCALE = 50.0
 
 ACCUMULATING, BRIEF = 200, 0.01
 """So many steps that last a smaller part of `dt` on average are accumulating events, if half end at one."""
-
-WHOLE = 0.999
-"""Part of a step that is covered if no event ends it: the end of a run rounds its length."""
 
 LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
@@ -150,8 +147,7 @@ class Alternating(TimeStepping):
         covered = steps[-1].end - start
         if covered >= part * count * self._longest:
             return
-        ended = sum(step.end - step.start < WHOLE * step.h for step in steps[-count:])
-        if crowded or ended > 0.5 * count:
+        if crowded or ended(self.instant, count) > BY_EVENTS * count:
             raise IrregularMotionError(
                 f"scene: {count} steps cover {covered:.3g} s, with active contacts: {closed}", field="scene"
             )

@@ -58,7 +58,7 @@ class HybridState:
         cut_short: Whether the last step ended at a given time.
         low_orders_from: The steps from which orders 5 and 3 may be tried.
         steps, rejected: Numbers of steps.
-        marked: `steps`, `t`, `v` and `rejected` where there was progress last.
+        marked: `steps`, `t` and `v` where there was progress last.
         rubbed: Least works of friction so far, in joints and in contacts [J].
         struck: Instants with impacts since the motion was resumed.
         islands: (trees,) Of each tree of joints that rests in time steps: its island, else −1.
@@ -100,7 +100,7 @@ class HybridState:
     low_orders_from: tuple[int, ...] = (0, 0)
     steps: int = 0
     rejected: int = 0
-    marked: tuple[int, float, Array, int] = (0, 0.0, np.zeros(0), 0)
+    marked: tuple[int, float, Array] = (0, 0.0, np.zeros(0))
     rubbed: tuple[float, float] = (0.0, 0.0)
     struck: int = 0
 

@@ -19,9 +19,11 @@ from .options import Options
 MAX_STALLED = 200
 """Steps without progress after which a simulation gives up."""
 
-FEW = 0.1
-"""Steps that make no progress in time are those of a control that jumps again and again if this part of them
-has been refused before."""
+WHOLE = 0.999
+"""Part of a step that is covered if no event ends it: the end of a run rounds its length."""
+
+BY_EVENTS = 0.5
+"""Part of the steps that end at an event from which it is events that make steps short, and no control."""
 
 RUBBING = slice(1, 3)
 """Which of the works are those of friction, in joints and in contacts: it takes energy."""
@@ -37,6 +39,11 @@ ROLLING = 0.25
 """Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
 grows with time and is no gain. With none of it rolling balls are refused, with all of it a gain of 0.4 % of
 the energy is not seen. In one step, friction may give what its own impulse does over that error."""
+
+
+def ended(instant: Instant, count: int) -> int:
+    """Return how many of the last steps, a number of them, have ended at an event."""
+    return sum(step.end - step.start < WHOLE * step.h for step in instant.record.dense_steps[-count:])
 
 
 class Progress:
@@ -56,6 +63,7 @@ class Progress:
         self._model, self._options, self._instant, self._jumps = model, options, instant, jumps
         self._state: HybridState = instant.state
         extent, self._time_scale = sizes
+        self._speed = extent / self._time_scale
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
         self._little = self._weight * options.rtol * extent
         self._tolerance = options.rtol * extent + options.atol
@@ -63,7 +71,7 @@ class Progress:
     def mark(self) -> None:
         """Note that there is progress."""
         state = self._state
-        state.marked = state.steps, state.t, state.v, state.rejected
+        state.marked = state.steps, state.t, state.v
 
     def stalled(self, scale: float) -> IrregularMotionError | None:
         """Return why not to continue where steps make no progress, or None.
@@ -71,22 +79,25 @@ class Progress:
         Args:
             scale: The time of which `STALLED` is a part [s].
         """
-        state, (steps, then, velocity, rejected) = self._state, self._state.marked
+        state, (steps, then, velocity) = self._state, self._state.marked
         count = state.steps - steps
         if count <= MAX_STALLED:
             return None
         covered, t = state.t - then, state.t
-        refused = state.rejected - rejected > FEW * count
-        if self._jumps and refused and covered < PROGRESS * self._time_scale:
+        moved = float(np.abs(state.v - velocity).max(initial=0.0))
+        fastest = float(np.abs(velocity).max(initial=0.0))
+        # at rest velocities change by errors alone, which are small beside those of the scene's scales
+        stays = covered < PROGRESS * self._time_scale and moved <= PROGRESS * max(fastest, self._speed)
+        if self._jumps and stays and ended(self._instant, count) < BY_EVENTS * count:
             return IrregularMotionError(
-                f"control: it jumps again and again at t = {t:.6g} s, "
+                f"control: it jumps again and again, or is too stiff, at t = {t:.6g} s, "
                 f"where {count} steps cover {covered:.2g} s; "
                 "give dry friction as the model's friction, which also holds joints at rest, and sample a "
                 "control that switches, with period=",
                 field="control",
             )
-        least = max(PROGRESS * np.abs(velocity).max(), self._instant.error(velocity))
-        if not (np.abs(state.v - velocity).max() > least or covered > STALLED * scale):
+        least = max(PROGRESS * fastest, self._instant.error(velocity))
+        if not (moved > least or covered > STALLED * scale):
             return IrregularMotionError(
                 f"scene: {count} steps at t = {t:.6g} s without progress; the contact modes do not "
                 "converge; a larger resting_speed may help",
