@@ -16,6 +16,9 @@ T = TypeVar("T")
 LEAST_SHARE = 32
 """Smallest number of rows per call."""
 
+MOST_SHARE = 4096
+"""Largest number of rows per call: after some tenths of a second at the most Ctrl-C is answered."""
+
 
 @functools.cache
 def _helpers() -> ThreadPoolExecutor:
@@ -39,11 +42,12 @@ def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]
     Returns:
         The results of `solve`, in the order of the rows.
     """
-    if threads == 1 or count <= LEAST_SHARE:
+    if count <= (MOST_SHARE if threads == 1 else LEAST_SHARE):
         return [solve(slice(0, count))]
     starts = [0]
     while starts[-1] < count:
-        starts.append(min(count, starts[-1] + max(LEAST_SHARE, (count - starts[-1]) // (2 * threads))))
+        share = (count - starts[-1]) // (2 * threads)
+        starts.append(min(count, starts[-1] + min(max(LEAST_SHARE, share), MOST_SHARE)))
     shares = deque(enumerate(map(slice, starts, starts[1:])))
     results: list[Any] = [None] * len(shares)
 

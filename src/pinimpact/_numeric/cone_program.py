@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign, ones
 from .tolerances import FALLS_BACK, ROUNDING
@@ -378,6 +379,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     best = math.inf
     best_x, best_s, best_z = np.empty(n), np.empty(m), np.empty(m)
     for _ in range(MAX_ITERATIONS):
+        answer_signals()
         gap, missing = _residuals(P, c, G, h, x, s, z, rx, rz)
         accuracy = max(gap, missing) if missing > ROUNDING else gap
         if accuracy < best:

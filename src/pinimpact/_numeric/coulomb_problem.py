@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Flags, FloatRows, Floats, declared
+from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .cone_program import cholesky, substitute
 from .least_norm import least_norm
@@ -210,6 +211,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     factor, penalty, changed, next_try = np.empty((size, size)), PENALTY, True, 0
     trial, best = x.copy(), math.inf
     for iteration in range(ITERATIONS + 1):
+        answer_signals()
         if iteration == next_try:
             next_try = min(iteration + max(4, iteration // 4), ITERATIONS)
             for a in range(size):
@@ -345,6 +347,7 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
     system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
     trial, no_basis, undecided = x.copy(), np.empty((0, size)), repeated(len(mu), AS_FORCES_SAY)
     for _ in range(POLISH):
+        answer_signals()
         linearize(
             *(delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f),
             *(undecided, system, right),

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
+from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign
 
@@ -65,6 +66,7 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
         order[j] = j
     rank, largest, sums = 0, 0.0, np.empty(n)
     for k in range(min(m, n)):
+        answer_signals()
         # again at every step, for updated norms lose their digits just where the rank is decided
         longest, chosen = -1.0, k
         columns_times(r, k, k, -1, sums)

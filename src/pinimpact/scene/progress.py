@@ -115,8 +115,8 @@ class Progress:
         drift = self._instant.dynamics.work.drift_at_end
         if drift > DRIFTED * self._tolerance:
             raise IrregularMotionError(
-                f"contacts: the constraint drift of closed contacts reaches {drift:.3g} m or rad in a step at "
-                f"t = {self._state.t:.6g} s, so that the conditions of their modes contradict each other",
+                f"contacts: the constraint drift of closed contacts reaches {drift:.3g} m or rad in a step "
+                f"at t = {self._state.t:.6g} s, so that the conditions of their modes contradict each other",
                 field="contacts",
             )
 

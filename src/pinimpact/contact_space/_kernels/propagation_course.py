@@ -8,6 +8,7 @@ import numpy as np
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
+from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import repeated
 from .codes import (
@@ -139,6 +140,7 @@ def _go_to_event(
     roots, guard, work = scratch
     turns = _presses_and_slips(state)
     while True:
+        answer_signals()
         if turns:
             unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
         h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
+from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
 from .first_fall import NEVER
@@ -166,6 +167,7 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
     held_impulse, held_works = np.empty_like(impulse), np.empty_like(works)
     h, clock, held = FIRST_STEP, 0.0, 0.0
     for step in range(1, most + 1):
+        answer_signals()
         if step <= len(path):
             path[step - 1, 0] = clock
             assign(path[step - 1, 1:], impulse)

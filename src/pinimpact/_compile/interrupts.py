@@ -1,0 +1,33 @@
+"""Signals during kernels: Ctrl-C, and whatever else a program handles, without waiting for a kernel's end."""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+
+@intrinsic
+def _answer_signals(typing_context):
+    def generate(context, builder, signature, arguments):
+        kind = ir.FunctionType(ir.IntType(32), [])
+        check = cgutils.get_or_insert_function(builder.module, kind, "PyErr_CheckSignals")
+        raised = builder.icmp_signed("!=", builder.call(check, []), ir.IntType(32)(0))
+        with cgutils.if_unlikely(builder, raised):
+            context.call_conv.return_exc(builder)  # callers return as well, up to Python
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+def _in_python() -> None:
+    """Do nothing: the interpreter answers signals itself."""
+
+
+answer_signals = _in_python if config.DISABLE_JIT else _answer_signals
+"""Let the program handle signals that have come; an error that its handler raises leaves all kernels.
+
+For loops of kernels that can take a second; a call takes nanoseconds. A kernel that an error leaves
+has changed what it has changed, and keeps the memory of its arrays. Not for `jit.released` kernels: the
+global interpreter lock must be held."""
