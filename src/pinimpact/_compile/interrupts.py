@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from llvmlite import ir
 from numba import config, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 
 @intrinsic
 def _answer_signals(typing_context):
     def generate(context, builder, signature, arguments):
-        kind = ir.FunctionType(ir.IntType(32), [])
-        check = cgutils.get_or_insert_function(builder.module, kind, "PyErr_CheckSignals")
-        raised = builder.icmp_signed("!=", builder.call(check, []), ir.IntType(32)(0))
-        with cgutils.if_unlikely(builder, raised):
+        name, i32 = "PyErr_CheckSignals", ir.IntType(32)
+        known = builder.module.globals.get(name)
+        check = known or ir.Function(builder.module, ir.FunctionType(i32, []), name)
+        raised = builder.icmp_signed("!=", builder.call(check, []), i32(0))
+        with builder.if_then(raised, likely=False):
             context.call_conv.return_exc(builder)  # callers return as well, up to Python
         return context.get_dummy_value()
 
