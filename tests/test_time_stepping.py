@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import coal
@@ -18,7 +19,7 @@ from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
 from pinimpact.scene._kernels.step_impulses import step_impulses
 
-from .scene_models import UP, G, ball, box_on, pendulum, slider, unbounded
+from .scene_models import UP, G, ball, box_on, hull_mesh, pendulum, slider, unbounded
 
 FLOOR = Plane()
 
@@ -27,8 +28,8 @@ def step(scene, q0, v0, duration, dt, **options):
     return simulate(scene, q0, v0, duration, scheme="time-stepping", dt=dt, **options)
 
 
-def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0):
-    """Free boxes, each on the floor and each on the next."""
+def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0, solid=None):
+    """Free boxes, each on the floor and each on the next; `solid` is another geometry of the same shape."""
     model, shapes = pin.Model(), pin.GeometryModel()
     size = np.array(size)
     inertia = mass / 12.0 * np.diag(np.sum(size**2) - size**2)
@@ -36,7 +37,8 @@ def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box_{k}")
         model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
         model.addJointFrame(joint)
-        shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), coal.Box(*size)))
+        shape = solid or coal.Box(*size)
+        shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), shape))
     unbounded(model)
     contacts = [
         Contact(
@@ -354,6 +356,19 @@ def test_more_rows_than_velocities_obey_coulombs_law():
         )  # μ f_n |u_t| where friction is along slip and at its bound
         np.testing.assert_allclose(work, mu * force[:, 2] * slip, atol=1e-5 * size * largest)
     assert unsolved <= 12
+
+
+def test_meshes_move_as_boxes_do():
+    """Patches of boxes are computed by a kernel, others by polygons of their faces."""
+    size = np.array([0.1, 0.2, 0.05])
+    mesh = hull_mesh(0.5 * size * np.array(list(itertools.product((-1.0, 1.0), repeat=3))))
+    turned = [pin.Quaternion(pin.exp3(np.array([0.05, 0.1, angle]))).coeffs() for angle in (0.2, 0.3)]
+    q0 = np.concatenate([[0, 0, 0.08, *turned[0]], [0.01, 0.02, 0.17, *turned[1]]])
+    ends = [
+        step(boxes(2, size, 1.0, solid=solid), q0, np.zeros(12), 0.3, 1e-3).q[-1] for solid in (None, mesh)
+    ]
+    assert np.abs(ends[0] - q0).max() > 0.03
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-11)
 
 
 def compliant(f, W, free, mu, given, part):
