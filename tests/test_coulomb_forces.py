@@ -64,6 +64,28 @@ def forces_at_rest(delassus, free, mu, bounds=np.zeros(0)):  # noqa: B008
     return x, accuracy
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_forces_beside_a_contact_without_bounds_are_those_of_what_it_leaves_free(seed):
+    delassus, free, mu = contacts_at_rest(seed, 3, 20)
+    delassus, free = delassus[:9, :9], free[:9]
+    x, none, held = np.zeros(9), np.zeros(0), np.array([False, False, True])
+    assert solve(delassus, free, np.zeros((3, 2)), mu, held, none, none, x) <= 1e-10
+    share = np.linalg.solve(delassus[6:, 6:], delassus[6:, :6])  # forces of the held contact
+    reduced = delassus[:6, :6] - delassus[:6, 6:] @ share
+    others, accuracy = forces_at_rest(reduced, free[:6] - share.T @ free[6:], mu[:2])
+    assert accuracy <= 1e-10
+    assert x[:6] == pytest.approx(others, abs=1e-8 * np.abs(x).max())
+    assert delassus[6:] @ x + free[6:] == pytest.approx(0.0, abs=1e-9 * np.abs(free).max())
+
+
+def test_without_loads_there_are_no_forces():
+    delassus, free, mu = contacts_at_rest(1, 2, 9)
+    x, none = np.ones(6), np.zeros(0)
+    bilateral = np.zeros(2, dtype=np.bool_)
+    assert solve(delassus[:6, :6], 0.0 * free[:6], np.zeros((2, 2)), mu, bilateral, none, none, x) == 0.0
+    assert not x.any()
+
+
 @pytest.mark.parametrize("excess", [1e-8, 1e-5])
 @pytest.mark.parametrize("seed", range(40))
 def test_forces_are_found_where_sticking_has_just_ceased_to_be_possible(seed, excess):

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import ImpactProblem, solve_impact
+from pinimpact import BoundReachedWarning, ImpactProblem, solve_impact
 
 SIDE, MASS = 0.1, 1.0
 
@@ -132,3 +132,18 @@ def pinocchio_impulses(w, v, mu):
         pin.DelassusOperatorDense(np.asfortranarray(w)), v.copy(), models, datas, settings, result
     )
     return result.retrieveConstraintImpulses()
+
+
+@pytest.mark.parametrize("seed", [2, 31, 241, 524])
+def test_corners_that_are_nearly_in_a_plane_are_stopped(seed):
+    # the residual of the convex program that is taken in the end rises on its way
+    rng = np.random.default_rng(seed)
+    points = np.array([[x, y, -1.0] for x in (-1, 1) for y in (-1, 1)]) + 1e-6 * rng.normal(size=(4, 3))
+    jacobian = np.vstack([np.hstack([np.eye(3), -pin.skew(point)]) for point in points])
+    twist = rng.normal(size=6) * [1, 1, 0, 0, 0, 1] - [0, 0, 1, 0, 0, 0]
+    w, v = jacobian @ np.diag([1, 1, 1, 1.5, 1.5, 1.5]) @ jacobian.T, (jacobian @ twist).reshape(-1, 3)
+    with pytest.warns(BoundReachedWarning, match="Coulomb's law is met only to"):
+        found = together(0.5 * (w + w.T), v, 1.0, 0.5)
+    assert found.velocity[:, 2].min() >= -1e-6
+    assert (np.hypot(*found.impulse[:, :2].T) - found.impulse[:, 2]).max() <= 1e-9
+    assert found.velocity.ravel() == pytest.approx(v.ravel() + w @ found.impulse.ravel(), abs=1e-9)

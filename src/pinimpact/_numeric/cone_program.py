@@ -16,7 +16,7 @@ from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign, ones
-from .tolerances import FALLS_BACK, ROUNDING
+from .tolerances import FALLS_BACK, ROUNDING, TINY
 
 CONE = np.int64(3)
 """Size of the cones of friction."""
@@ -157,7 +157,7 @@ def cholesky(matrix):
     """Replace a positive definite matrix by its factor; a pivot lost to rounding becomes a large one."""
     n = len(matrix)
     whole, column = np.empty(n), np.empty(n)
-    largest = 1e-300
+    largest = TINY
     for i in range(n):
         whole[i] = matrix[i, i]
         largest = max(largest, whole[i])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+TINY = 1e-300
+"""A divisor in the place of zero: what it divides is zero then, or as good as infinite."""
+
 # ---- pivots
 
 RANK = 1e-10

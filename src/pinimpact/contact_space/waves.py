@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .._numeric.tolerances import TINY
 from ..checks import in_short, real_number
 from ..errors import InputError
 from ._kernels.tolerances import AGREE, FINEST, FIRST_RESTITUTION, MISSED, STEP_ACCURACY, USEFUL
@@ -147,7 +148,7 @@ def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
     impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
     tangential = np.hypot(impulse[:, 0], impulse[:, 1])
     most = inputs.friction * impulse[:, 2]
-    impulse[:, :2] *= np.where(tangential > most, most / np.maximum(tangential, 1e-300), 1.0)[:, None]
+    impulse[:, :2] *= np.where(tangential > most, most / np.maximum(tangential, TINY), 1.0)[:, None]
     return impulse
 
 

@@ -222,12 +222,16 @@ def _in_range(rank, s, a11, a12, a22, v1, v2, tiny, doubtful):
 
 
 @inlined
+def norm(x, y):
+    """Return √(x² + y²); the slower function of the library only where squares would vanish."""
+    square = x * x + y * y
+    return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
+
+
+@inlined
 def _slip(v1, v2):
     """Return the speed and the direction of slip, (1, 0) for none."""
-    speed = math.sqrt(v1 * v1 + v2 * v2)
-    if speed < 1e-140:
-        speed = math.hypot(v1, v2)
-    s1, s2 = 1.0, 0.0
+    speed, s1, s2 = norm(v1, v2), 1.0, 0.0
     if speed > 0.0:
         s1, s2 = v1 / speed, v2 / speed
     return speed, s1, s2

@@ -66,6 +66,7 @@ from .sensitivities import (
     combine,
 )
 from .slip_panels import ROOM
+from .tolerances import COINCIDENT, FLAT
 
 SLOPES = 14
 """Columns of the derivatives: v₁, v₂, v₃, W row by row, μ, e. Rows are those of v⁺ and P."""
@@ -77,17 +78,8 @@ START_AT_REST, STICK_THRESHOLD, EVENTS_COINCIDE, JUMP, GRAZING, BOUND, RANK = (
     np.int64(1 << i) for i in range(7)
 )
 
-COINCIDENT = 1e-11
-"""Distance of two events, over all of P₃, up to which rounding decides their order."""
-
-AT_THRESHOLD = 1e-11
-"""Distance of μ from the stick threshold, over μ, up to which rounding decides."""
-
 GROWTH = 50.0
 """Of the speed on a panel of two moves, or its fall: its square is then e⁸, which twelve nodes integrate."""
-
-FLAT = 1e-7
-"""Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
 
 
 @inlined
@@ -380,7 +372,7 @@ def _differentiate(problem, view, flags, moves, values, out, rows, after3):
     if mu == 0.0 or e == 0.0 or e == 1.0:
         boundary |= BOUND
     ratio = math.sqrt(problem.k1 * problem.k1 + problem.k2 * problem.k2)
-    threshold = flags & (SLIP_RESUMED | STICKS) > 0 and abs(ratio - mu) <= AT_THRESHOLD * mu
+    threshold = flags & (SLIP_RESUMED | STICKS) > 0 and abs(ratio - mu) <= COINCIDENT * mu
     if threshold:
         boundary |= STICK_THRESHOLD
         _fill(out, BY_W, BY_W33, math.nan)

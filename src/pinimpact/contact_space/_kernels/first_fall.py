@@ -6,7 +6,7 @@ import math
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
-from .tolerances import NOISE, SHORTEST_BRACKET
+from .tolerances import NOISE, POINT
 
 NEVER = math.inf
 
@@ -101,7 +101,7 @@ def first_fall(c, degree, h, zero, rows):
                 rest[j] = right[j]
         elif changes == 1 and left[n] < 0.0:
             return h * _bisect(power, n, start, start + width)
-        elif width < SHORTEST_BRACKET:
+        elif width < POINT:
             return h * start
         else:
             part *= 0.5

@@ -12,7 +12,7 @@ import math
 from ..._compile.jit import inlined
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_frame, polynomials
-from .tolerances import VANISHES
+from .tolerances import ROOT, VANISHES
 
 NEARBY = 0.3
 """Influence of the other roots of p up to which a series goes around one. (4.1)"""
@@ -37,7 +37,7 @@ def nearby_root(p0, polynomials):
         slope = p1 + t * (2.0 * p2 + t * (3.0 * p3 + t * 4.0 * p4))
         step = value / slope
         t -= step
-        if abs(step) <= 1e-9 * abs(t):
+        if abs(step) <= ROOT * abs(t):
             return t if t * p0 * p1 < 0.0 else 0.0
     return 0.0
 

@@ -33,6 +33,7 @@ from .codes import (
     STICKS,
 )
 from .contact_problem import Problem
+from .delassus import ZERO
 from .laws import first_event
 from .resumed_slip import resumed_direction
 from .slip_equations import Polynomials, along_slip, in_frame, polynomials
@@ -40,10 +41,6 @@ from .tolerances import NEAR_THRESHOLD
 
 STRAIGHT = 2.0**-54
 """An angle that turns no double: slip this close to an invariant direction is straight."""
-
-
-NO_FORCE = 2.0**-46
-"""Where slip may turn into a direction without force, a force this small is rounding."""
 
 
 WEAK = 2.0**-10
@@ -236,7 +233,7 @@ def slip_course(problem, units, state, fresh):
     rate = problem.c - mu * bl
     if units.weak > 0:
         rate = lifting(problem, units.omega, s1, s2, rate, m0, terms, turning, doubt)
-    if problem.endless_slip and abs(m0) <= NO_FORCE * terms:
+    if problem.endless_slip and abs(m0) <= ZERO * terms:
         m0 = 0.0
     bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
     unbent = bend <= 0.25 * STRAIGHT * abs(m0)

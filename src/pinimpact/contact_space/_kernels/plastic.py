@@ -9,7 +9,8 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.coulomb_problem import solve_coulomb
 from ..._numeric.loops import flags, repeated
-from .tolerances import FOUND, MISSED, ROUNDED
+from ..._numeric.tolerances import TINY
+from .tolerances import FOUND, MISSED, OPTIMAL, ROUNDED
 
 SWEEPS = 100
 """How often approaches at rest are taken away at most."""
@@ -28,7 +29,7 @@ def plastic_impulses(w, v, friction, given, impulse):
         impulse: (3n,) takes P.
     """
     n = len(friction)
-    largest, stiffest = 1e-300, 1e-300
+    largest, stiffest = TINY, TINY
     for i in range(3 * n):
         largest, stiffest = max(largest, abs(v[i])), max(stiffest, w[i, i])
     unit = largest / stiffest
@@ -57,7 +58,7 @@ def plastic_impulses(w, v, friction, given, impulse):
         for j in range(n):
             linear[a] += w[places[a], 3 * j + 2] * given[j] / largest
     x, s, z = np.empty(columns), np.empty(rows), np.empty(rows)
-    cone_program(program, linear, signs, sides, n, repeated(cones, CONE), 1e-22, x, s, z)
+    cone_program(program, linear, signs, sides, n, repeated(cones, CONE), OPTIMAL, x, s, z)
     for i in range(3 * n):
         impulse[i] = 0.0
     for a in range(columns):

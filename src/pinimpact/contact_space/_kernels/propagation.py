@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.tolerances import TINY
 from .propagation_course import follow
 from .propagation_series import ORDER, new_series
 from .propagation_state import System, new_state
@@ -92,12 +93,12 @@ def propagate(
             gained += own_works[j, k]
             size += abs(own_works[j, k])
             works[order[j], k] = own_works[j, k] * scale * scale
-    missed = max(missed, outside / max(strongest, 1e-300))
+    missed = max(missed, outside / max(strongest, TINY))
     for i in range(3 * n):
         v[places[i]] = u[i] * scale
         impulse[places[i]] = p[i] * scale
     _write_back(order, places, scale, rows[: counts[2]], path[: counts[3]])
-    return stopped, max(missed, gained / max(size, 1e-300))
+    return stopped, max(missed, gained / max(size, TINY))
 
 
 @inlined

@@ -24,7 +24,7 @@ from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
 from .propagation_state import TIED, State, System, begins, close, loads, open_contact, stored
-from .tolerances import AGREE, NEGLIGIBLE, NOWHERE, ROUNDED, SEEN, SLIP_SPEED, SLOW
+from .tolerances import AGREE, NEGLIGIBLE, ROUNDED, SAME, SEEN, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
 """Order of the series that tells the pace of slips."""
@@ -222,7 +222,7 @@ def _begins_badly(state, series, h):
     for j in range(len(state.normal)):
         if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
             speed = series.speed[0, j] * h * (h if state.fresh[j] == TIED else 1.0)
-            if speed < NOWHERE * SLIP_SPEED:
+            if speed < SAME * SLIP_SPEED:
                 state.fresh[j] = 1
                 state.v[3 * j] = SLIP_SPEED * state.direction[2 * j]
                 state.v[3 * j + 1] = SLIP_SPEED * state.direction[2 * j + 1]

@@ -10,6 +10,7 @@ from ..._compile.jit import inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
+from ..._numeric.tolerances import TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
     bounded_unknowns,
@@ -21,7 +22,18 @@ from .propagation_series import (
 )
 from .propagation_slip_onset import align, begin_at_bound
 from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
-from .tolerances import AHEAD, BEGINS, FAR_FROM_BOUNDS, NEGLIGIBLE, SAME, SLIP_SPEED, UNTURNED, WEAK
+from .tolerances import (
+    AHEAD,
+    BEGINS,
+    FAR_FROM_BOUNDS,
+    NEGLIGIBLE,
+    OPTIMAL,
+    POINT,
+    SAME,
+    SLIP_SPEED,
+    UNTURNED,
+    WEAK,
+)
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
@@ -154,7 +166,7 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
         if tangent[j] == SLIPPING:
             unit[2 * j], unit[2 * j + 1] = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
     for j in range(n):
-        weight[j] = max(weight[j], 1e-9 * heaviest)
+        weight[j] = max(weight[j], WEAK * heaviest)
     return heaviest, root
 
 
@@ -332,7 +344,7 @@ def _hold_plane(system, state, forces):
             cones[3 * c + 1 + a, 2 * c + a] = -1.0
         sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
     x, s, z = np.empty(2 * count), np.empty(3 * count), np.empty(3 * count)
-    cone_program(program, linear, cones, sides, np.int64(0), sizes, 1e-22, x, s, z)
+    cone_program(program, linear, cones, sides, np.int64(0), sizes, OPTIMAL, x, s, z)
     change = 0.0
     for c in range(count):
         for a in range(2):
@@ -346,7 +358,7 @@ def _press_held(system, state, unit, cap, forces):
     """Bring the forces of what is held within their bounds, for known friction; return what it changes."""
     w = system.w
     n = len(cap)
-    most, strongest = 0.0, 1e-300
+    most, strongest = 0.0, TINY
     for _ in range(SWEEPS):
         change = 0.0
         for j in range(n):
@@ -372,6 +384,6 @@ def _press_held(system, state, unit, cap, forces):
             if state.tangent[j] == SLIPPING:
                 forces[x], forces[y] = gx * pressed, gy * pressed
         most = max(most, change)
-        if change <= 1e-15 * strongest:
+        if change <= POINT * strongest:
             break
     return most / strongest

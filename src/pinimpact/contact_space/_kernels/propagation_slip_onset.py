@@ -8,10 +8,11 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
+from ..._numeric.tolerances import PIVOT
 from .codes import SLIPPING, STUCK
 from .propagation_series import answer_of_turn, expand, unknown_after
 from .propagation_state import AT_BOUND, RESUMED, TIED
-from .tolerances import BEGINS, NEGLIGIBLE, SLIP_SPEED, TURNED
+from .tolerances import BEGINS, DRIFT, NEGLIGIBLE, SLIP_SPEED
 
 TURNS = 6
 """Of Newton's method for directions of slip that begins."""
@@ -101,7 +102,7 @@ def align(system, state, unit, weight, series):
             right[c] = -_across(system, state, j, series.force[0])
         for c in range(count):
             matrix[c, c] -= series.speed[0, places[c]]
-        if solve(matrix, right, turn, 1e-14) == 0:
+        if solve(matrix, right, turn, PIVOT) == 0:
             largest = math.inf
             break
         largest = 0.0
@@ -112,13 +113,13 @@ def align(system, state, unit, weight, series):
             state.direction[2 * j] = (dx - turn[c] * dy) / length
             state.direction[2 * j + 1] = (dy + turn[c] * dx) / length
             largest = max(largest, abs(turn[c]))
-        if not largest > TURNED:
+        if not largest > DRIFT:
             break
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
     for j in range(n):
         if state.tangent[j] == SLIPPING and (state.fresh[j] == RESUMED or gradual[j] == 1):
-            lost = gradual[j] == 0 and not largest <= TURNED
+            lost = gradual[j] == 0 and not largest <= DRIFT
             if lost or not series.speed[0, j] > 0.0:
                 state.fresh[j] = 1
                 for i in range(2):

@@ -13,13 +13,10 @@ import numpy as np
 from ..._compile.declared import Floats
 from ..._compile.jit import inlined
 from ..._numeric.cone_program import cholesky, substitute
-from .tolerances import BALANCED, ROUNDED
+from .tolerances import FITS, NEGLIGIBLE, ROUNDED
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
 """Of Newton's method and of its line search at most; part of the slope that the search may leave."""
-
-FITS = 1e-3
-"""What Newton's method may miss velocities by, in parts of the creep: little beside what a step misses."""
 
 ROUNDS = 20
 """Of stiff contacts and their friction in turn, at most, before a step is shortened."""
@@ -123,7 +120,7 @@ def _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         off = 0.0
         for k in range(r):
             off = max(off, abs(gradient[k]))
-        if off <= FITS * creep or (off <= ROUNDED + BALANCED * strongest and off > 0.5 * last):
+        if off <= FITS * creep or (off <= ROUNDED + NEGLIGIBLE * strongest and off > 0.5 * last):
             return
         last = off
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)

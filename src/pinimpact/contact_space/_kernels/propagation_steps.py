@@ -15,9 +15,10 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
+from ..._numeric.tolerances import TINY
 from .first_fall import NEVER
 from .propagation_stages import Springs, find_stage, force_at
-from .tolerances import FIRST_STEP, NEGLIGIBLE, SHORTEST, SLOW
+from .tolerances import FIRST_STEP, NEGLIGIBLE, SLOW
 
 # C. A. Kennedy and M. H. Carpenter, Appl. Numer. Math. 44 (2003) 139–181, ARK4(3)6L[2]SA
 IMPLICIT = np.array(
@@ -246,8 +247,8 @@ def _find_step(contacts, v, force, rate, h, accuracy):
     while True:
         found = _find_stages(contacts, v, force, rate, h)
         missed = _missed(contacts, rate, v, h)
-        factor = min(max(SAFE * (accuracy / max(missed, 1e-300)) ** 0.25, SHRINKS), GROWS)
-        if h <= SHORTEST:
+        factor = min(max(SAFE * (accuracy / max(missed, TINY)) ** 0.25, SHRINKS), GROWS)
+        if h <= NEGLIGIBLE:
             break
         if missed <= accuracy and found:
             part = _until_a_turn(v[0], v[STAGES - 1], force[STAGES - 1], accuracy / h, pace, restitution)

@@ -8,15 +8,13 @@ from ..._compile.jit import always_inlined, inlined
 from .invariant_direction import LEFT_TO
 from .sensitivities import PATH, STOP, VT1, arrive, clear_rows, combine
 from .slip_panels import HALF_ANGLE, INVARIANT, STRAIGHT, Slip, cross_panel, frame_polynomials
+from .tolerances import TAIL
 
 EFOLDS = 6.0
 """Change of ln r or ln g on a panel, at most."""
 
 NEAREST = 1.6
 """Length of a panel, in L, over the distance of the next invariant direction."""
-
-TAIL = 1e-13
-"""Angle, or part of the path times angle, by which slip still turns where it counts as straight."""
 
 
 @inlined

@@ -16,6 +16,7 @@ from ..._compile.jit import always_inlined, inlined
 from ..._numeric.loops import power
 from .delassus import EPS
 from .slip_equations import Shape, moments
+from .tolerances import HALLEY, ROOT
 
 SETTLED = 38.0
 """e^{−SETTLED} is below rounding."""
@@ -62,9 +63,10 @@ def _roots(k0, k1, k2):
 def first_root(k0, k1, k2, end, size):
     """Return the first root of k₀ + k₁t + k₂t² strictly between 0 and `end`, or `end` itself.
 
-    v₃ has an extremum there. One within 10⁻⁹ `size` of the present point changes it by less than rounding.
+    v₃ has an extremum there. One within `ROOT` times `size` of the present point changes it by less
+    than rounding.
     """
-    found, least = end, 1e-9 * abs(size)
+    found, least = end, ROOT * abs(size)
     for t in _roots(k0, k1, k2):
         if t * end > 0.0 and least < abs(t) < abs(found):
             found = t
@@ -77,7 +79,7 @@ def last_root(k0, k1, k2, start):
 
     Those close to 0 have all their digits.
     """
-    found, most = 0.0, (1.0 - 1e-9) * abs(start)
+    found, most = 0.0, (1.0 - ROOT) * abs(start)
     for t in _roots(k0, k1, k2):
         if t * start > 0.0 and abs(found) < abs(t) < most:
             found = t
@@ -105,7 +107,7 @@ def leap(f, slope, bend):
 @inlined
 def settled(step, x, f, slope):
     """Whether a step of Halley's leaves rounding; next to an extremum it is short far from the root too."""
-    return abs(step) <= 2e-6 * x and abs(f) <= 4e-6 * x * abs(slope)
+    return abs(step) <= HALLEY * x and abs(f) <= 2.0 * HALLEY * x * abs(slope)
 
 
 @inlined

@@ -25,6 +25,7 @@ from .codes import (
     SLIP_TURNS,
     WORK,
 )
+from .contact_problem import norm
 from .delassus import EPS
 from .moves import Move, jams
 from .stiff_step import settling, stiff_step
@@ -112,13 +113,6 @@ class Step(NamedTuple):
     u2: float
     error: float
     least: float
-
-
-@inlined
-def norm(x, y):
-    """Return √(x² + y²); the slower function of the library only where squares would vanish."""
-    square = x * x + y * y
-    return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
 
 
 @inlined

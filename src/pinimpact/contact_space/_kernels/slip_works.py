@@ -193,7 +193,9 @@ def works_around(series, nodes, x):
     end = min(x, SETTLED / max(1.0, exponent))
     while low < end:
         # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
-        width = min(end - low, 1.25 * (low + 1.0), 3.5 / max(1e-3, abs(exponent)))
+        width = min(end - low, 1.25 * (low + 1.0))
+        if width * abs(exponent) > 3.5:
+            width = 3.5 / abs(exponent)
         for i in range(0, NODES, 4):
             at = _places(i, width)
             length = sign * (low + at[0]), sign * (low + at[1]), sign * (low + at[2]), sign * (low + at[3])

@@ -17,6 +17,13 @@ WELL_CONDITIONED = 1e-6
 VANISHES = 1e-250
 """Coefficients of a series below this are zero: close to the smallest doubles arithmetic is slow."""
 
+ROOT = 1e-9
+"""Part of a root by which another number differs from it and is it: at an extremum of v₃ the square of that
+counts, and Newton's method leaves its square."""
+
+HALLEY = 2e-6
+"""The same for Halley's method, which leaves its cube."""
+
 CLOSE_TO_JUMP = 1e-2
 """Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
 
@@ -30,24 +37,33 @@ of the largest velocity at many contacts that is zero: some fifty roundings."""
 ROOM = 1.0 + 1e-9
 """How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
 
+COINCIDENT = 1e-11
+"""Distance of two events, over all of P₃, and of μ from the stick threshold, over μ, up to which rounding
+decides what derivatives hold."""
+
+FLAT = 1e-7
+"""Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
+
+TAIL = 1e-13
+"""Angle, or part of the path times angle, by which slip still turns where its derivatives are those of
+straight slip."""
+
 # ---- many contacts, from event to event
 
 NEGLIGIBLE = 1e-11
-"""Part by which forces, accelerations, pivots, tangential velocities and times of events may differ and be
-one: they are sums of terms of order one, or come from velocities and W of a robot with their rounding."""
+"""Part by which forces, accelerations, pivots, tangential velocities and times of events may differ and
+be one: they are sums of terms of order one, or come from velocities and W of a robot with their
+rounding. Shorter steps are not taken."""
 
 SLOW = 1e-10
 """A speed, in parts of the largest, at which what was held is not; and of an approach that is rest."""
 
 DRIFT = 1e-12
-"""Part of the largest velocity by which one may differ from what impulses make of it; and the acceleration
-of what friction has locked, in the steps."""
+"""Part of the largest velocity by which one may differ from what impulses make of it; the acceleration of
+what friction has locked, in the steps; and the last turn by Newton's method of a slip that begins [rad]."""
 
 STOPS = 1e-7
 """A slip below this speed that runs straight at zero is taken there in one step, of second order."""
-
-NOWHERE = 1e-6
-"""Part of the speed at which slips begin that the series of one that begins has to reach."""
 
 SEEN = 1e-3
 """Part of the accuracy of velocities that impulses have where velocities do not feel them."""
@@ -63,7 +79,8 @@ UNTURNED = 1e-3
 
 SAME = 1e-6
 """Part of the largest force by which forces that hold the same differ; and of a bound within which friction
-is at it: what `AHEAD` lets forces change."""
+is at it: what `AHEAD` lets forces change. And part of the speed at which slips begin that the series of one
+that begins has to reach: its accelerations are off by as much."""
 
 WEAK = 1e-9
 """Part of the largest bound below which friction does not matter."""
@@ -74,22 +91,24 @@ FAR_FROM_BOUNDS = 1e-3
 BEGINS = 1e-4
 """Part of what its terms come to below which an acceleration or a force is only growing from zero."""
 
-TURNED = 1e-12
-"""A turn of the direction of a slip that begins that is the last of Newton's method [rad]."""
-
 NOISE = 1e-13
 """Part of the largest coefficient of a guard below which one is rounding."""
 
-SHORTEST_BRACKET = 1e-15
-"""An interval, in parts of the whole, that counts as a point."""
+POINT = 1e-15
+"""Part of an interval that counts as a point, and of a force that counts as no change: a few roundings."""
+
+OPTIMAL = 1e-22
+"""Gap of the convex programs of friction, of order one, whose solution is then right to some 1e-11: they go
+on to the last step that double precision allows."""
 
 # ---- many contacts, by steps and all at once
 
-FIRST_STEP, SHORTEST = 1e-3, 1e-12
+FIRST_STEP = 1e-3
 """Of the clock."""
 
-BALANCED = 1e-9
-"""What Newton's method may be off in a stage, in parts of the strongest friction."""
+FITS = 1e-3
+"""What Newton's method may miss velocities by in a stage, in parts of the creep: little beside what a step
+misses."""
 
 FOUND = 1e-8
 """What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""

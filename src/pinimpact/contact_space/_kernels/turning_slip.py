@@ -20,8 +20,9 @@ from .codes import (
     WORK,
 )
 from .contact_problem import Problem
+from .delassus import ZERO
 from .invariant_direction import expand_around_root, nearby_root
-from .moves import NO_FORCE, Move, State, Units, jams, lifting, tied
+from .moves import Move, State, Units, jams, lifting, tied
 from .recording import record_series
 from .slip_equations import TERMS, Polynomials, Shape, expand, reach
 from .slip_events import seek, seek_near
@@ -179,7 +180,7 @@ def _far_series(coefficients, reciprocals, problem, units, state, polynomials, l
             coefficients, reciprocals, units.weak,
             units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root, leaving,
         )  # fmt: skip
-    if around_invariant and problem.endless_slip and abs(shape.exponent * n1) <= NO_FORCE * terms:
+    if around_invariant and problem.endless_slip and abs(shape.exponent * n1) <= ZERO * terms:
         h, factor, unit, _, start, sign, q1, q2, q3, w0, w1, w2, q4, w3 = shape
         shape = Shape(h, factor, unit, 0.0, start, sign, q1, q2, q3, w0, w1, w2, q4, w3)
     if around_invariant and leaving:

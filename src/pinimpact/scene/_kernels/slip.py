@@ -7,8 +7,9 @@ import math
 from ..._compile.declared import FLOAT_ROWS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import assign
+from ..._numeric.tolerances import TINY
 from .contact_forces import SLIP
-from .tolerances import STILL, TINY
+from .tolerances import STILL
 from .workspace import SceneWorkspace
 
 CERTAIN = 10.0

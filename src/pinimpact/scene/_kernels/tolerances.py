@@ -15,9 +15,6 @@ moves."""
 NEIGHBOURS = 2e-16
 """Relative difference of two times that are neighbours in floating point."""
 
-TINY = 1e-300
-"""A speed [m/s] by which slip at rest can be divided."""
-
 # ---- accelerations and forces of what is closed
 
 NEGLIGIBLE = 1e-9

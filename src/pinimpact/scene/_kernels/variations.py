@@ -10,11 +10,9 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, ones
 from ..._numeric.lu import factorize, substitute
-from ..._numeric.tolerances import RANK
+from ..._numeric.tolerances import RANK, TINY
 
 FLOAT_STACK4 = types.float64[:, :, :, ::1]
-
-TINY = np.finfo(np.float64).tiny
 
 
 @declared(
