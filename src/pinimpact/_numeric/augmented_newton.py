@@ -128,8 +128,13 @@ def length(x, y):
 @external
 def impulses(problem, r, u, before, out):
     """Fill out (n,) with f⁺ of (16.3) from u (n,) and f, `before` (n,); r (n,)."""
-    mu, least, slip = problem.friction, problem.least, problem.slip
-    lower, upper = problem.lower, problem.upper
+    mu, least, slip, lower, upper = (
+        problem.friction,
+        problem.least,
+        problem.slip,
+        problem.lower,
+        problem.upper,
+    )
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
