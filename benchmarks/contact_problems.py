@@ -29,8 +29,7 @@ Problem = tuple[Any, ...]
 @numba.njit
 def alone(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel, which only kernels can."""
-    n = len(mu)
-    return solve_coulomb(delassus, free, velocity, mu, np.zeros(n), held, lower, upper, x, np.ones(n))
+    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:

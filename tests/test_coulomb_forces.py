@@ -17,8 +17,7 @@ from pinimpact.scene._kernels.acting_forces import driven_in, find_forces
 @numba.njit
 def solve(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel, which only kernels can."""
-    n = len(mu)
-    return solve_coulomb(delassus, free, velocity, mu, np.zeros(n), held, lower, upper, x, np.ones(n))
+    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def contacts_at_rest(seed, contacts, velocities):
@@ -416,6 +415,19 @@ def slipping(delassus, free, mu, bound, x):
     return (delassus, free, np.array([[1.0, 0.0]]), np.array([mu]), np.array([False]), -limits, limits, x)
 
 
+def test_of_several_forces_those_where_the_search_begins_are_taken():
+    """Where iterations come near forces but take too long, others are not to be found in their place."""
+    rng = np.random.default_rng(1)
+    several = 0
+    for *problem, solutions in problems_with_several_solutions():
+        several += 1
+        for x, _ in solutions:
+            near = x + 1e-6 * rng.normal(size=5)
+            assert solve(*slipping(*problem, near)) <= 1e-10
+            assert near == pytest.approx(x, rel=1e-9, abs=1e-9)
+    assert several > 50
+
+
 @pytest.mark.parametrize("pressed", [[True, True, True], [True, False, False], [False] * 3])
 def test_forces_from_which_any_deviation_grows_give_way_to_others(pressed):
     """Those of a negative determinant do, nearly wherever there are others."""
@@ -557,3 +569,15 @@ def sum_of_minors(matrix, order):
     """Return the sum of all principal minors of an order."""
     chosen = itertools.combinations(range(len(matrix)), order)
     return sum(np.linalg.det(matrix[np.ix_(rows, rows)]) for rows in chosen)
+
+
+@pytest.mark.parametrize("start", [np.nan, np.inf, 1e200])
+def test_where_the_search_for_forces_begins_does_not_matter(start):
+    """Sweeps that diverge leave numbers that are none."""
+    delassus, free, mu = contacts_at_rest(3, 2, 6)
+    held, nothing, velocity = np.zeros(2, dtype=np.bool_), np.zeros(0), np.zeros((2, 2))
+    found, expected = np.full(6, start), np.zeros(6)
+    assert solve(delassus, free, velocity, mu, held, nothing, nothing, found) <= 1e-10
+    assert solve(delassus, free, velocity, mu, held, nothing, nothing, expected) <= 1e-10
+    assert np.abs(expected).max() > 0.0
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)

@@ -306,8 +306,7 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None):
     """Fill the impulses of one island; return how far they are from the law."""
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
-    still = np.zeros(len(mu)), np.zeros((len(mu), 2))
-    problem = VelocityProblem(mass, np.linalg.inv(mass), *every, free, mu, *still, none, none, compliance)
+    problem = VelocityProblem(mass, np.linalg.inv(mass), *every, free, mu, none, none, compliance)
     return step_impulses(
         *(problem, np.ones(len(mu), dtype=bool), np.zeros(m, dtype=np.int64), 1e-11),
         *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),

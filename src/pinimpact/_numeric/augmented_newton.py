@@ -6,10 +6,9 @@ From the impulses f of one iteration the next ones are
 
 r > 0 a compliance for each contact or row, P for a contact
 
-    P(z) = (Π_ρ(z_t), p),   p = max(z_n, l),   ρ = μ p,                                                 (16.4)
+    P(z) = (Π_ρ(z_t), [z_n]₊),   ρ = μ [z_n]₊,                                                          (16.4)
 
-Π_ρ the projection onto the disc of radius ρ, l the least normal force. A contact that slides already along σ
-has −ρ σ instead of Π_ρ, and scalar rows have their bounds. A fixed point
+Π_ρ the projection onto the disc of radius ρ, and for scalar rows that onto their bounds. A fixed point
 satisfies the law, whatever r. (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991.) From
 f = 0 the first f⁺ are the forces of contacts with compliances r; each further iteration makes u smaller, by a
 factor of about r/W. Newton's method with a line search solves (16.3) for w in a few steps. Its matrix has the
@@ -24,12 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .._compile.declared import FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
-from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign
 from .products import apply, dot
 from .profile import apply_within, eliminate_profile
-from .tolerances import BALANCED, ENOUGH, EXACT, SOFTEST, STALLED
+from .tolerances import BALANCED, STALLED
 
 ITERATIONS = 40
 """Largest number of iterations of (16.3)."""
@@ -42,10 +40,6 @@ FINER = 0.1
 
 INEXACT = 0.1
 """Tolerance of Newton's method, relative to the change of the previous iteration."""
-
-ATTEMPTS, LESS = 3, 0.1
-"""Attempts to solve a problem, the first from a given beginning, and the part of the compliances of one that
-the next one takes: it needs more steps, but surer ones."""
 
 SLOPE = 0.1
 """Largest slope at the end of a line search, relative to that at its start."""
@@ -62,8 +56,6 @@ class VelocityProblem(NamedTuple):
         counts: (n,) their numbers.
         free: (n,) u without impulses.
         friction: (nc,) coefficients of friction.
-        least: (nc,) l, least normal impulses.
-        slip: (nc, 2) σ of contacts that slide already, zero for those that may stick.
         lower: (ns,) lower bounds of scalar impulses.
         upper: (ns,) upper bounds of scalar impulses.
         compliance: (nc,) of the contacts, up to a factor.
@@ -76,8 +68,6 @@ class VelocityProblem(NamedTuple):
     counts: Integers
     free: Floats
     friction: Floats
-    least: Floats
-    slip: FloatRows
     lower: Floats
     upper: Floats
     compliance: Floats
@@ -126,26 +116,15 @@ def length(x, y):
 
 
 @external
-def impulses(problem, r, u, before, out):
-    """Fill out (n,) with f⁺ of (16.3) from u (n,) and f, `before` (n,); r (n,)."""
-    mu, least, slip, lower, upper = (
-        problem.friction,
-        problem.least,
-        problem.slip,
-        problem.lower,
-        problem.upper,
-    )
+def impulses(u, before, mu, lower, upper, r, out):
+    """Fill out (n,) with f⁺ of (16.3) from u (n,) and f, `before` (n,)."""
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
     for i in range(nc):
         j = 3 * i
-        out[j + 2] = max(out[j + 2], least[i])
-        radius = mu[i] * out[j + 2]
-        if slip[i, 0] != 0.0 or slip[i, 1] != 0.0:
-            out[j], out[j + 1] = -radius * slip[i, 0], -radius * slip[i, 1]
-            continue
-        size = length(out[j], out[j + 1])
+        out[j + 2] = max(out[j + 2], 0.0)
+        size, radius = length(out[j], out[j + 1]), mu[i] * out[j + 2]
         if size > radius:
             out[j] *= radius / size
             out[j + 1] *= radius / size
@@ -154,30 +133,22 @@ def impulses(problem, r, u, before, out):
 
 
 @inlined
-def fill_derivative(problem, i, z1, z2, z3, coupled, d):
-    """Fill d (3, 3) with ∂P at z of contact i, unless `coupled` without ∂ρ; return whether it is not zero."""
+def fill_derivative(z1, z2, z3, mu, coupled, d):
+    """Fill d (3, 3) with ∂P at z of a contact that is closed, unless `coupled` without that by z_n of ρ."""
     for a in range(3):
         for b in range(3):
             d[a, b] = 0.0
-    mu, s1, s2 = problem.friction[i], -problem.slip[i, 0], -problem.slip[i, 1]
-    closed, push = z3 > problem.least[i], max(z3, problem.least[i])
-    radius, slides = mu * push, s1 != 0.0 or s2 != 0.0
-    if not closed and (radius == 0.0 or slides):
-        return False
-    if closed:
-        d[2, 2] = 1.0
-    if not slides:
-        size = length(z1, z2)
-        if size <= radius:  # sticks
-            d[0, 0] = d[1, 1] = 1.0
-            return True
-        s1, s2 = z1 / size, z2 / size
-        part = radius / size
-        d[0, 0], d[1, 1] = part * s2 * s2, part * s1 * s1
-        d[0, 1] = d[1, 0] = -part * s1 * s2
-    if coupled and closed:
+    d[2, 2] = 1.0
+    size, radius = length(z1, z2), mu * z3
+    if size <= radius:  # sticks
+        d[0, 0] = d[1, 1] = 1.0
+        return
+    s1, s2 = z1 / size, z2 / size
+    part = radius / size
+    d[0, 0], d[1, 1] = part * s2 * s2, part * s1 * s1
+    d[0, 1] = d[1, 0] = -part * s1 * s2
+    if coupled:
         d[0, 2], d[1, 2] = mu * s1, mu * s2
-    return True
 
 
 @external
@@ -193,9 +164,9 @@ def fill_system(problem, start, r, u, before, coupled, system):
         coupled: Whether friction follows normal impulses; else the matrix is symmetric and definite.
         system: (m, m) takes the matrix.
     """
-    mass, values, columns, counts = problem.mass, problem.values, problem.columns, problem.counts
-    lower, upper, m, nc = problem.lower, problem.upper, len(problem.mass), len(problem.friction)
-    d, z = np.empty((3, 3)), np.empty(3)
+    mass, _, values, columns, counts, _, mu, lower, upper, _ = problem
+    m, nc = len(mass), len(mu)
+    d = np.empty((3, 3))
     for a in range(m):
         for b in range(m):
             system[a, b] = 0.0
@@ -203,15 +174,15 @@ def fill_system(problem, start, r, u, before, coupled, system):
             system[a, b] = system[b, a] = mass[a, b]
     for i in range(nc):
         j = 3 * i
-        for e in range(3):
-            z[e] = before[j + e] - u[j + e] / r[j]
-        if not fill_derivative(problem, i, z[0], z[1], z[2], coupled, d):
+        z3 = before[j + 2] - u[j + 2] / r[j]
+        if z3 <= 0.0:
             continue
+        fill_derivative(before[j] - u[j] / r[j], before[j + 1] - u[j + 1] / r[j], z3, mu[i], coupled, d)
         for k in range(counts[j]):
             j0, j1, j2 = values[j, k] / r[j], values[j + 1, k] / r[j], values[j + 2, k] / r[j]
             t0 = j0 * d[0, 0] + j1 * d[1, 0]
             t1 = j0 * d[0, 1] + j1 * d[1, 1]
-            t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2 * d[2, 2]
+            t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2
             row = system[columns[j, k]]
             for o in range(counts[j]):
                 row[columns[j, o]] += t0 * values[j, o] + t1 * values[j + 1, o] + t2 * values[j + 2, o]
@@ -229,14 +200,14 @@ def balance(problem, start, r, before, now):
 
     Other arguments are those of `fill_system`.
     """
-    values, columns, counts, free = problem.values, problem.columns, problem.counts, problem.free
+    mass, _, values, columns, counts, free, mu, lower, upper, _ = problem
     w, u, f, momentum, out = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += free[a]
-    impulses(problem, r, u, before, f)
-    apply_within(problem.mass, start, w, momentum)
+    impulses(u, before, mu, lower, upper, r, f)
+    apply_within(mass, start, w, momentum)
     for a in range(len(out)):
         out[a] = momentum[a]
         largest = max(largest, abs(out[a]))
@@ -266,7 +237,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
         slope: dᵀM w at its start.
         curvature: dᵀM d.
     """
-    u, f = now.u, now.f
+    mu, lower, upper, u, f = problem.friction, problem.lower, problem.upper, now.u, now.f
     trial = np.empty(len(u))
     start = slope - dot(du, f)
     if not start < 0.0:
@@ -275,7 +246,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
     for k in range(STEPS):
         for a in range(len(u)):
             trial[a] = u[a] + share * du[a]
-        impulses(problem, r, trial, before, f)
+        impulses(trial, before, mu, lower, upper, r, f)
         here = slope + share * curvature - dot(du, f)
         if abs(here) <= SLOPE * abs(start) or (k == 0 and here <= 0.0):
             break
@@ -314,8 +285,7 @@ def find_profile(problem, start, last):
 @external
 def fill_compliances(problem, part, diagonal, given):
     """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
-    inverse, values, columns, counts = problem.inverse, problem.values, problem.columns, problem.counts
-    compliance = problem.compliance
+    _, inverse, values, columns, counts, _, _, _, _, compliance = problem
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
@@ -353,7 +323,6 @@ def solve_compliances(problem, profile, r, before, least, now, system):
     m, reached = len(w), math.inf
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
-        answer_signals()
         left = balance(problem, start, r, before, now)
         if step == STEPS or left <= enough or (left < 1e3 * rounded and left > 0.5 * reached):
             break
@@ -388,7 +357,7 @@ def residual_of(problem, diagonal, x, now):
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += problem.free[a]
-    impulses(problem, diagonal, u, x, f)
+    impulses(u, x, problem.friction, problem.lower, problem.upper, diagonal, f)
     missed = total = 0.0
     for a in range(len(u)):
         part = diagonal[a] * abs(f[a] - x[a])
@@ -397,39 +366,23 @@ def residual_of(problem, diagonal, x, now):
     return missed if math.isfinite(total) else math.inf
 
 
-@declared(VelocityProblem, float, FLOATS, FLOATS)
-@external
-def give_way(problem, part, w, x):
-    """Find the impulses of contacts that give way, the first ones of (16.3).
-
-    Args:
-        problem: The `VelocityProblem`.
-        part: The largest compliance, relative to the largest of W.
-        w: (m,) the change of velocities with which to begin; takes that by the impulses.
-        x: (n,) takes the impulses.
-    """
-    n, m = len(x), len(w)
-    start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(problem, start, last)
-    diagonal, r = np.empty(n), np.empty(n)
-    fill_compliances(problem, part, diagonal, r)
-    now = Iterate(w, np.empty(n), x, np.empty(m), np.empty(m))
-    least = BALANCED, EXACT
-    solve_compliances(problem, (start, last), r, np.zeros(n), least, now, np.empty((m, m)))
-
-
 @declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, result=float)
 @external
-def augment(problem, part, accuracy, begin, w, x):
-    """Make an attempt of `solve_velocities` with compliances of a size; return the residual of the law.
+def solve_velocities(problem, part, accuracy, begin, w, x):
+    """Fill x with impulses that satisfy the law.
 
     Args:
         problem: The `VelocityProblem`.
         part: The largest r, relative to the largest of W, see `tolerances.SOFTEST`.
-        accuracy: As in `solve_velocities`.
-        begin: (m,) likewise.
-        w: (m,) likewise.
-        x: (n,) likewise.
+        accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `tolerances.SETTLED`.
+        begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
+            start for a nearly equal problem.
+        w: (m,) takes the change by the impulses.
+        x: (n,) takes the impulses. If several satisfy the law they are nearly those of least norm in the
+            metric of the compliances.
+
+    Returns:
+        The residual of the law, relative to u_free; infinite if the iteration has diverged.
     """
     free = problem.free
     n, m, size = len(free), len(w), 0.0
@@ -458,45 +411,11 @@ def augment(problem, part, accuracy, begin, w, x):
         for a in range(n):
             reached = max(reached, r[a] * abs(f[a] - x[a]) / size)
         assign(x, f)
-        slow = reached > 0.5 * lowest
-        if reached <= accuracy or (slow and finer and reached <= STALLED):
+        if reached <= accuracy or (reached <= STALLED and reached > 0.5 * lowest):
             break
-        if slow and not finer:
+        if reached > 0.5 * lowest and not finer:
             finer, lowest = True, math.inf
             for a in range(n):
                 r[a] *= FINER
         lowest = min(lowest, reached)
     return residual_of(problem, diagonal, x, now) / size
-
-
-@declared(VelocityProblem, float, FLOATS, FLOATS, FLOATS, result=float)
-@external
-def solve_velocities(problem, accuracy, begin, w, x):
-    """Fill x with impulses that satisfy the law.
-
-    Args:
-        problem: The `VelocityProblem`.
-        accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `tolerances.SETTLED`.
-        begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
-            start for a nearly equal problem.
-        w: (m,) takes the change by the impulses.
-        x: (n,) takes the impulses; of several that satisfy the law the limit of small compliances.
-
-    Returns:
-        The residual of the law, relative to u_free; infinite if the iteration has diverged.
-    """
-    n, m = len(x), len(w)
-    off, part, other, moved = math.inf, SOFTEST, np.zeros(n), np.empty(m)
-    for trial in range(ATTEMPTS):
-        if trial > 0:  # with less at a time, from nothing
-            part *= LESS
-            for c in range(m):
-                begin[c] = 0.0
-        left = augment(problem, part, accuracy, begin, moved, other)
-        if left < off:
-            off = left
-            assign(w, moved)
-            assign(x, other)
-        if off <= ENOUGH:
-            break
-    return off

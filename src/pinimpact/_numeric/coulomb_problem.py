@@ -5,97 +5,175 @@
     scalar rows:  lower ≤ f ≤ upper,  u = 0 between them, u ≥ 0 at lower, u ≤ 0 at upper.
 
 u are velocities and f impulses, or u accelerations and f forces. A contact that slides has its friction along
-the direction of its slip, whatever u_t. Solutions are found as in time steps (`augmented_newton`), with a
-root of W as the Jacobian; Newton's method on the open, sticking and sliding contacts converges to rounding.
+the direction of its slip, whatever u_t. With De Saxcé's s = μ|u_t| this is a cone complementarity problem,
+f in K and u + s n in its dual cone; where a contact slides K is a half-line and s = μ σ·u_t.
+
+The alternating direction method of multipliers approaches a solution (J. Carpentier, Q. Le Lidec, L. Montaut,
+From compliant to rigid contact simulation, RSS 2024), and Newton's method on the open, sticking and sliding
+contacts then converges to rounding.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Flags, FloatRows, Floats, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
-from .augmented_newton import ATTEMPTS, LESS, VelocityProblem, augment, give_way
+from .cone_program import cholesky, substitute
 from .least_norm import least_norm
-from .loops import assign, repeated
+from .loops import assign, flags, repeated
 from .products import apply
-from .semidefinite import factor
-from .tolerances import EXACT, PIVOT, POLISHED, ROUNDING, SMALL, SOFTEST
+from .tolerances import ACCURATE, COMPLIANCE, EXACT, NEAR, PIVOT, POLISHED, SMALL
 from .tolerances import USABLE as USABLE  # for those who solve
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
 """Types: W, u_free, velocities of slip, friction, least normal forces, held, bounds, and the forces."""
 
+ITERATIONS = 2000
+"""Largest number of iterations of the method of multipliers."""
+
+PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
+"""Its first penalty (for rows with a diagonal of one), the factor of its changes, and the ratio of the
+residuals of f = y and of u from which on it changes."""
+
+
+LONG = 500
+"""Iterations after which it is tried at any residual."""
+
 POLISH = 8
 """Steps of Newton's method per trial."""
+
 
 AS_FORCES_SAY = np.int64(-1)
 """Instead of a mode of a contact in `linearize`."""
 
 
 @inlined
-def order_rows(held, scalars, rows):
-    """Fill the order of rows (m,) with contacts that have bounds first; return how many these are."""
-    nc, bounded, at = len(held), 0, 0
-    for first in (False, True):
-        for i in range(nc):
-            if held[i] == first:
-                bounded += not first
-                for e in range(3):
-                    rows[at] = 3 * i + e
-                    at += 1
-    for i in range(scalars):
-        rows[at] = 3 * nc + i
-        at += 1
-    return bounded
+def into_cone(x, b, mu, least, directions, slides):
+    """Project the force at b, b + 1, b + 2 of x onto its cone, or half-line, from `least` on."""
+    k = b // 3
+    if slides:
+        s1, s2 = directions[k, 0], directions[k, 1]
+        push = max(least, (x[b + 2] - mu * (s1 * x[b] + s2 * x[b + 1])) / (1.0 + mu * mu))
+        x[b], x[b + 1], x[b + 2] = -mu * push * s1, -mu * push * s2, push
+        return
+    length, push = math.hypot(x[b], x[b + 1]), x[b + 2]
+    if length > mu * push:  # on the cone's surface, or at its tip
+        push = max(0.0, (mu * length + push) / (1.0 + mu * mu))
+    push = max(push, least)
+    if length > mu * push:
+        x[b], x[b + 1] = x[b] * mu * push / length, x[b + 1] * mu * push / length
+    x[b + 2] = push
+
+
+class Scaled(NamedTuple):
+    """The problem with a diagonal of one.
+
+    Attributes:
+        w: (3 nc + ns, 3 nc + ns) W.
+        rates: (3 nc + ns,) u_free.
+        mu: (nc,) coefficients of friction.
+        held: (nc,) contacts without bounds.
+        slides: (nc,) contacts that slide.
+        directions: (nc, 2) of their slip.
+        low: (nc + ns,) least normal forces and lower bounds.
+        high: (ns,) upper bounds.
+    """
+
+    w: FloatRows
+    rates: Floats
+    mu: Floats
+    held: Flags
+    slides: Flags
+    directions: FloatRows
+    low: Floats
+    high: Floats
 
 
 @inlined
-def velocity_problem(delassus, free, velocity, mu, least, lower, upper, compliance, scales, rows, bounded):
-    """Return the `VelocityProblem` of bodies of unit mass that has the same W, but for a diagonal of one.
-
-    Contacts without bounds are scalar rows of it. Arguments are those of `solve_coulomb`, those filled by
-    `scale`, and those of `order_rows`.
-    """
-    d, scale_a, scale_f = scales
-    size, nc, others = len(free), len(mu), len(free) - 3 * bounded
-    scaled, root, order = np.empty((size, size)), np.zeros((size, size)), np.empty(size, dtype=np.int64)
+def _scaled(delassus, free, velocity, mu, least, held, lower, upper, d, scale_a, scale_f):
+    """Return the `Scaled` problem for the scales of `scale`."""
+    nc, ns, size = len(mu), len(lower), len(free)
+    w, rates = np.empty((size, size)), np.empty(size)
     for a in range(size):
+        rates[a] = scale_a[a] * free[a]
         for b in range(size):
-            scaled[a, b] = d[rows[a]] * delassus[rows[a], rows[b]] * d[rows[b]]
-    rank = factor(scaled, order, root, ROUNDING)
-    mass, columns, rates = np.zeros((rank, rank)), np.empty((size, rank), dtype=np.int64), np.empty(size)
-    for k in range(rank):
-        mass[k, k] = 1.0
-        for a in range(size):
-            columns[a, k] = k
-    for a in range(size):
-        rates[a] = scale_a[rows[a]] * free[rows[a]]
-    friction, push, soft = np.empty(bounded), np.empty(bounded), np.empty(bounded)
-    slip = np.zeros((bounded, 2))
-    for k in range(bounded):
-        i = rows[3 * k] // 3
-        friction[k], push[k], soft[k] = mu[i], least[i] / scale_f[3 * i], compliance[i] * d[3 * i] ** 2
+            w[a, b] = d[a] * delassus[a, b] * d[b]
+    directions, slides = np.zeros((nc, 2)), flags(nc, False)
+    low, high = np.empty(nc + ns), np.empty(ns)
+    for i in range(nc):
+        low[i] = least[i] / scale_f[3 * i + 2]
         speed = math.hypot(velocity[i, 0], velocity[i, 1])
-        if speed > 0.0:
-            slip[k, 0], slip[k, 1] = velocity[i, 0] / speed, velocity[i, 1] / speed
-    low, high = np.empty(others), np.empty(others)
-    for k in range(others):
-        a = rows[3 * bounded + k]
-        low[k], high[k] = -math.inf, math.inf
-        if a >= 3 * nc:
-            low[k], high[k] = lower[a - 3 * nc] / scale_f[a], upper[a - 3 * nc] / scale_f[a]
-    given, counts = (rates, friction, push, slip, low, high, soft), repeated(size, rank)
-    return VelocityProblem(mass, mass, root[:, :rank].copy(), columns, counts, *given)
+        slides[i] = speed > 0.0 and mu[i] > 0.0 and not held[i]
+        if slides[i]:
+            directions[i, 0], directions[i, 1] = velocity[i, 0] / speed, velocity[i, 1] / speed
+    for i in range(ns):
+        low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
+    return Scaled(w, rates, mu, held, slides, directions, low, high)
 
 
-@declared(*SYSTEM, FLOATS, result=float)
+@inlined
+def _fill_factor(w, penalty, factor):
+    """Fill the Cholesky factor for a penalty."""
+    for a in range(len(w)):
+        for b in range(a + 1):
+            factor[a, b] = w[a, b]
+        factor[a, a] += penalty + COMPLIANCE
+    cholesky(factor)
+
+
+@inlined
+def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
+    """Take a step of the method of multipliers.
+
+    Args:
+        scaled: The `Scaled` problem.
+        penalty: Its penalty.
+        factor: See `_fill_factor`.
+        f: (3 nc + ns,) all forces.
+        y: (3 nc + ns,) those in the cones.
+        z: (3 nc + ns,) multipliers.
+        shift: (nc,) De Saxcé's s.
+
+    Returns:
+        The residual of f = y, and that of u.
+    """
+    nc, mu, held, directions = len(shift), scaled.mu, scaled.held, scaled.directions
+    apart = moved = 0.0
+    for a in range(len(f)):
+        f[a] = COMPLIANCE * f[a] + z[a] + penalty * y[a] - scaled.rates[a]
+    for i in range(nc):
+        f[3 * i + 2] -= shift[i]
+    substitute(factor, f)
+    before = y.copy()
+    for a in range(len(f)):
+        y[a] = f[a] - z[a] / penalty
+    for i in range(nc):
+        if not held[i]:
+            into_cone(y, 3 * i, mu[i], scaled.low[i], directions, scaled.slides[i])
+    for a in range(3 * nc, len(f)):
+        y[a] = min(max(y[a], scaled.low[a - 2 * nc]), scaled.high[a - 3 * nc])
+    for a in range(len(f)):
+        z[a] += penalty * (y[a] - f[a])
+        apart, moved = max(apart, abs(f[a] - y[a])), max(moved, penalty * abs(y[a] - before[a]))
+    for i in range(nc):
+        b, last = 3 * i, shift[i]
+        if scaled.slides[i]:
+            shift[i] = mu[i] * (directions[i, 0] * z[b] + directions[i, 1] * z[b + 1])
+        elif not held[i]:
+            shift[i] = mu[i] * math.hypot(z[b], z[b + 1])
+        moved = max(moved, abs(shift[i] - last))
+    return apart, moved
+
+
+@declared(*SYSTEM, result=float)
 @external
-def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
-    """Fill x with forces that satisfy the law; of several with the limit of small compliances. (11.12)
+def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
+    """Fill x with forces that satisfy the law, starting from its values.
 
     Args:
         delassus: (3 nc + ns, 3 nc + ns) W of nc contacts (t₁, t₂, n), then of ns scalar rows.
@@ -106,8 +184,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x, co
         held: (nc,) contacts without bounds.
         lower: (ns,) lower bounds of scalar forces, infinite for none.
         upper: (ns,) upper bounds of scalar forces, likewise.
-        x: (3 nc + ns,) takes the forces.
-        compliance: (nc,) of the contacts, up to a factor.
+        x: (3 nc + ns,) the start, unless zero forces have a smaller residual; takes the forces.
 
     Returns:
         The residual of the law, relative to u_free; more than `tolerances.USABLE` if no forces are found.
@@ -124,35 +201,64 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x, co
         for a in range(size):
             x[a] = 0.0
         return 0.0
-    rows = np.empty(size, dtype=np.int64)
-    bounded = order_rows(held, len(lower), rows)
-    problem = velocity_problem(
-        *(delassus, free, velocity, mu, least, lower, upper, compliance),
-        *((d, scale_a, scale_f), rows, bounded),
-    )
-    w, far, found, part = np.zeros(len(problem.mass)), np.empty(size), np.empty(size), 1.0
-    while part > 2.0 * SMALL:
-        give_way(problem, part, w, found)
-        part *= LESS
-    give_way(problem, 2.0 * SMALL, w, far)
-    give_way(problem, SMALL, w, found)
-    best, trial, part = math.inf, np.empty(size), SOFTEST
-    for attempt in range(1 + ATTEMPTS):
-        for a in range(size):
-            trial[rows[a]] = (2.0 * found[a] - far[a]) * scale_f[rows[a]]
-        now, before = residual(*system, trial, a_now, scale_a, scale_f), math.inf
-        while EXACT < now < 0.5 * before:
-            before = now
-            now = newton(*system, trial, a_now, scale_a, scale_f)
-        if now < best:
-            best = now
-            assign(x, trial)
-        if best <= USABLE or attempt == ATTEMPTS:
-            break
-        augment(problem, part, 0.1 * USABLE, w.copy(), w, found)
-        assign(far, found)
-        part *= LESS
+    scales = a_now, scale_a, scale_f
+    scaled = _scaled(*system, d, scale_a, scale_f)
+    f, y, z, shift = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(nc)
+    if not residual(*system, x, *scales) <= residual(*system, f, *scales):
+        assign(x, f)
+    for a in range(size):
+        y[a] = f[a] = x[a] / scale_f[a]
+    factor, penalty, changed, next_try = np.empty((size, size)), PENALTY, True, 0
+    trial, best = x.copy(), math.inf
+    for iteration in range(ITERATIONS + 1):
+        answer_signals()
+        if iteration == next_try:
+            next_try = min(iteration + max(4, iteration // 4), ITERATIONS)
+            for a in range(size):
+                trial[a] = y[a] * scale_f[a]
+            now, before = residual(*system, trial, *scales), math.inf
+            while EXACT < now < 0.5 * before and (before < math.inf or now <= NEAR or iteration >= LONG):
+                before = now
+                now = newton(*system, trial, *scales)
+            if now < best:
+                best = now
+                assign(x, trial)
+            if best <= ACCURATE:
+                break
+        if changed:
+            _fill_factor(scaled.w, penalty, factor)
+        apart, moved = _multipliers_step(scaled, penalty, factor, f, y, z, shift)
+        changed = iteration % 10 == 9 and (apart > IMBALANCE * moved or moved > IMBALANCE * apart)
+        if changed:
+            penalty *= FACTOR if apart > moved else 1.0 / FACTOR
     return best
+
+
+@declared(*SYSTEM, FLOATS)
+@external
+def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
+    """Fill x as `solve_coulomb` does; of several solutions with the limit of small compliances. (11.12)
+
+    With W + ε C instead of W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's
+    method converges to the nearest solution. Other arguments and the result are as in `solve_coulomb`; x
+    should have the symmetry of the problem. C is diagonal, `compliance` (nc,) for each contact's rows, up to
+    a factor.
+    """
+    nc, size = len(mu), len(free)
+    stiffest = softest = 0.0
+    for i in range(nc):
+        softest = max(softest, compliance[i])
+        for a in range(3 * i, 3 * i + 3):
+            stiffest = max(stiffest, delassus[a, a])
+    soft, far = delassus.copy(), x.copy()
+    for part in (2.0 * SMALL, SMALL):
+        for a in range(3 * nc):
+            soft[a, a] = delassus[a, a] + part * stiffest * compliance[a // 3] / softest
+        assign(far, x)
+        solve_coulomb(soft, free, velocity, mu, least, held, lower, upper, x)
+    for a in range(size):
+        x[a] += x[a] - far[a]
+    return solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x)
 
 
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)

@@ -12,11 +12,8 @@ from .tolerances import RANK
 
 
 @inlined
-def factor(matrix, order, lower, least):
-    """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank.
-
-    Pivots up to the part `least` of the largest diagonal entry are zero.
-    """
+def factor(matrix, order, lower):
+    """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank."""
     size = len(matrix)
     rest = np.empty(size)
     largest = 0.0
@@ -31,7 +28,7 @@ def factor(matrix, order, lower, least):
                 best = a
         order[k], order[best] = order[best], order[k]
         p = order[k]
-        if not rest[p] > least * largest:
+        if not rest[p] > RANK * largest:
             return k
         pivot = math.sqrt(rest[p])
         lower[p, k] = pivot
@@ -55,7 +52,7 @@ def solve_definite(matrix, target, solution):
     """
     size = len(target)
     lower, order, part = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty(size)
-    if factor(matrix, order, lower, RANK) < size:
+    if factor(matrix, order, lower) < size:
         return False
     for k in range(size):
         i = order[k]

@@ -13,10 +13,17 @@ RANK = 1e-10
 PIVOT = 1e-11
 """The same for Newton's equations at a solution, whose entries are known to rounding."""
 
-# ---- Coulomb's law by Newton's method on an active set
+# ---- Coulomb's law by multipliers and Newton's method
 
-USABLE = 1e-10
-"""Residual of forces that is accepted."""
+COMPLIANCE = 1e-9
+"""Added to the diagonal, so that it is definite, relative to the forces of the previous iteration; it does
+not change the fixed point."""
+
+NEAR = 1e-2
+"""Residual below which Newton's method is tried."""
+
+ACCURATE, USABLE = 1e-11, 1e-10
+"""Residuals of forces: one at which to stop, and one that is accepted if it does not decrease further."""
 
 POLISHED, EXACT = 1e-14, 1e-15
 """A residual below which Newton's method stops, and one below which it does not start: rounding."""
@@ -36,10 +43,6 @@ BALANCED = 1e-11
 
 SETTLED = 1e-9
 """Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
-
-ENOUGH = 1e-5
-"""What impulses may miss the law by, in parts of u_free, before they are looked for otherwise: far less than
-time steps of any useful length miss the motion by, and near enough for Newton's method on the active set."""
 
 STALLED = 1e-5
 """The same, below which the iteration ends if it has not been halved by the last one."""

@@ -15,7 +15,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.augmented_newton import VelocityProblem
-from .._numeric.tolerances import ENOUGH
 from ..errors import IrregularMotionError
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
@@ -23,7 +22,7 @@ from ..robot.forest import mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.midpoint_step import midpoint_step, near_rows, rows_at
-from ._kernels.step_impulses import invert_trees, step_impulses
+from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
 from ._kernels.tolerances import STEPS_SLACK, STEPS_TOUCH
@@ -237,7 +236,7 @@ class TimeStepping(Integrator):
             if joined[driven].all():
                 break
             rows = self._rows(middle, v, h, slack, False, np.union1d(known, driven))
-        if off > max(ENOUGH, state.unsolved):
+        if off > max(USABLE, state.unsolved):
             if state.unsolved == 0.0:
                 self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
             state.unsolved = off
@@ -432,10 +431,7 @@ class TimeStepping(Integrator):
         lower, upper = np.zeros(len(free)), np.full(len(free), math.inf)
         lower[len(places) :] = -math.inf
         jacobian = rows.values[numbers], rows.columns[numbers], rows.counts[numbers]
-        none, still = (_NONE, _NONE), np.empty((0, 2))
-        problem = VelocityProblem(
-            self._mass, self._inverse, *jacobian, free, *none, still, lower, upper, _NONE
-        )
+        problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
         every = np.ones(len(free), dtype=bool)
         step_impulses(problem, every, self._tree, ROUGH, nothing.copy(), correction, pushes)
         return correction, pushes

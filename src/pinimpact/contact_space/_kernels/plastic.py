@@ -7,7 +7,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.coulomb_problem import solve_coulomb
+from ..._numeric.coulomb_problem import solve_compliant
 from ..._numeric.loops import flags, repeated
 from ..._numeric.tolerances import TINY
 from .tolerances import FOUND, MISSED, OPTIMAL, ROUNDED
@@ -86,7 +86,7 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
         impulse[3 * i] = impulse[3 * i + 1] = 0.0
         impulse[3 * i + 2], compliance[i] = given[i], 1.0 / stiffness[i]
     none, rest, held = np.zeros(0), np.zeros((n, 2)), flags(n, False)
-    missed = solve_coulomb(w, v, rest, friction, given, held, none, none, impulse, compliance)
+    missed = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
     if not missed <= FOUND:
         plastic_impulses(w, v, friction, given, impulse)
     return missed

@@ -19,6 +19,7 @@ from ..._numeric.coulomb_problem import (
     newton,
     residual,
     scale,
+    solve_compliant,
     solve_coulomb,
 )
 from ..._numeric.elimination import RANK, solve
@@ -37,7 +38,7 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
 
     Newton's method begins with what has been pressed at rest, so that it stays there where it can, then with
     the forces of before: near where they cease to exist these are a thousand times those of the loads.
-    Last is `solve_coulomb`. The first forces that last are taken.
+    Last is the method of multipliers. The first forces that last are taken.
 
     Args:
         delassus, free, slip, mu, least, held, lower, upper: As of `solve_coulomb`.
@@ -66,8 +67,10 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
         else:
             for a in range(size):
                 trial[a] = 0.0
-        if soft or start == NONE:
-            off = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
+        if soft:
+            off = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
+        elif start == NONE:
+            off = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, trial)
         else:
             off = newton(delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f)
         if off > USABLE:

@@ -224,10 +224,8 @@ def contact_problem(work, h, system, rows, arrives, free):
             free[a] += 2.0 * max(gap[a - 2 * every], 0.0) / h
     for i in range(every):
         free[3 * i + 2] += 2.0 * (max(gap[i], 0.0) if i < nc else gap[i]) / h
-    none, still = np.zeros(nc), np.zeros((nc, 2))
     problem = VelocityProblem(
-        *(system.mass, system.inverse, values, columns, counts),
-        *(free, friction, none, still, lower, upper, compliance),
+        *(system.mass, system.inverse, values, columns, counts, free, friction, lower, upper, compliance)
     )
     return problem, active
 

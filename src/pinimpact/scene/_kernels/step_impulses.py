@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Integers, declared
-from ..._compile.jit import inlined, jit
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, solve_velocities
+from ..._numeric.loops import assign
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
+from ..._numeric.tolerances import SOFTEST
+
+USABLE = 1e-5
+"""What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
+less than steps of any useful length do."""
+
+ATTEMPTS = 3
+"""Attempts to solve a problem, the first from where the step before has ended."""
+
+LESS = 0.1
+"""Part of the compliances of an attempt that the next one takes: it takes more steps, but surer ones."""
 
 
 @declared(FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS)
@@ -67,6 +80,34 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
                 for o in range(len(label)):
                     if label[o] == one or label[o] == other:
                         label[o] = min(one, other)
+
+
+@external
+def solve_island(problem, accuracy, begin, change, found):
+    """Find the impulses of an island; return how far they are from Coulomb's law, in parts of u_free.
+
+    Args:
+        problem: Its `VelocityProblem`.
+        accuracy: Part of u_free to which to find them.
+        begin: (m,) change of the velocities with which to begin; takes a better one, see `solve_velocities`.
+        change: (m,) takes that by the impulses.
+        found: (n,) takes the impulses.
+    """
+    n, m = len(found), len(change)
+    off, other, moved, part = math.inf, np.zeros(n), np.empty(m), SOFTEST
+    for attempt in range(ATTEMPTS):
+        if attempt > 0:  # with less at a time, from nothing
+            part *= LESS
+            for c in range(m):
+                begin[c] = 0.0
+        left = solve_velocities(problem, part, accuracy, begin, moved, other)
+        if left < off:
+            off = left
+            assign(change, moved)
+            assign(found, other)
+        if off <= USABLE:
+            break
+    return off
 
 
 class Island(NamedTuple):
@@ -126,7 +167,7 @@ def members(nc, number, label, first, tree, place):
 def problem_of(problem, island):
     """Return the `VelocityProblem` of an island, from that of all."""
     items, contacts, rows, moves, place = island
-    mass, inverse, values, columns, counts, free, friction, _, _, lower, upper, compliance = problem
+    mass, inverse, values, columns, counts, free, friction, lower, upper, compliance = problem
     m, n, scalars, widest = len(moves), len(rows), len(items) - contacts, 0
     for a in range(n):
         widest = max(widest, counts[rows[a]])
@@ -148,10 +189,7 @@ def problem_of(problem, island):
     for k in range(scalars):
         i = items[contacts + k] - len(friction)
         low[k], high[k] = lower[i], upper[i]
-    none, still = np.zeros(contacts), np.zeros((contacts, 2))
-    return VelocityProblem(
-        own_mass, own_inverse, own, where, lengths, given, mu, none, still, low, high, soft
-    )
+    return VelocityProblem(own_mass, own_inverse, own, where, lengths, given, mu, low, high, soft)
 
 
 @declared(VelocityProblem, FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS, result=float)
@@ -190,7 +228,7 @@ def step_impulses(problem, active, tree, accuracy, begin, change, impulse):
         start, moved, found = np.empty(len(moves)), np.empty(len(moves)), np.empty(len(rows))
         for a in range(len(moves)):
             start[a] = begin[moves[a]]
-        worst = max(worst, solve_velocities(problem_of(problem, island), accuracy, start, moved, found))
+        worst = max(worst, solve_island(problem_of(problem, island), accuracy, start, moved, found))
         for a in range(len(rows)):
             impulse[rows[a]] = found[a]
         for a in range(len(moves)):
