@@ -99,6 +99,6 @@ def test_events_and_time_steps_give_the_same_motion(name):
     located = simulate(scene, q0, v0, 0.25)
     assert located.complete
     coarse, fine = (simulate(scene, q0, v0, 0.25, scheme="time-stepping", dt=dt).q[-1] for dt in (1e-3, 5e-4))
-    # steps are of first order where contact changes; both schemes share loads as equally stiff contacts do
-    error = 3.0 * np.abs(coarse - fine).max() + 1e-9
+    # steps are of first order where contact changes, and share loads to a part of their compliances
+    error = 3.0 * np.abs(coarse - fine).max() + 3e-4 * np.abs(located.q[-1] - q0).max() + 1e-9
     assert located.q[-1] == pytest.approx(2.0 * fine - coarse, abs=error)

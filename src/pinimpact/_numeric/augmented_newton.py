@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._compile.declared import FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
+from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign
 from .products import apply, dot
@@ -323,6 +324,7 @@ def solve_compliances(problem, profile, r, before, least, now, system):
     m, reached = len(w), math.inf
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
+        answer_signals()
         left = balance(problem, start, r, before, now)
         if step == STEPS or left <= enough or (left < 1e3 * rounded and left > 0.5 * reached):
             break
