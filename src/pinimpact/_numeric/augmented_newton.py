@@ -36,6 +36,9 @@ ITERATIONS = 40
 STEPS = 40
 """Largest number of steps of Newton's method in an iteration, and of a line search."""
 
+PATIENCE = 3
+"""Iterations that do not halve the change after which they end."""
+
 FINER = 0.1
 """Part of r that is used, once, from an iteration on that does not halve the change."""
 
@@ -403,7 +406,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
     now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m))
     assign(w, begin)
     balanced = max(BALANCED, 0.1 * accuracy)
-    lowest, reached, finer = math.inf, 1.0, False
+    lowest, reached, finer, slow = math.inf, 1.0, False, 0
     for iteration in range(ITERATIONS):
         enough = max(balanced, INEXACT * reached)
         solve_compliances(problem, (start, last), r, x, (balanced, enough), now, system)
@@ -413,10 +416,11 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
         for a in range(n):
             reached = max(reached, r[a] * abs(f[a] - x[a]) / size)
         assign(x, f)
-        if reached <= accuracy or (reached <= STALLED and reached > 0.5 * lowest):
+        slow = slow + 1 if reached > 0.5 * lowest else 0
+        if reached <= accuracy or (slow >= PATIENCE and reached <= STALLED):
             break
-        if reached > 0.5 * lowest and not finer:
-            finer, lowest = True, math.inf
+        if slow > 0 and not finer:
+            finer, lowest, slow = True, math.inf, 0
             for a in range(n):
                 r[a] *= FINER
         lowest = min(lowest, reached)

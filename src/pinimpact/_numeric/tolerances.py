@@ -45,7 +45,7 @@ SETTLED = 1e-9
 """Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
 
 STALLED = 1e-5
-"""The same, below which the iteration ends if it has not been halved by the last one."""
+"""The same, below which the iteration ends if `PATIENCE` iterations have not halved it."""
 
 # ---- cone programs
 
