@@ -383,8 +383,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
         begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
             start for a nearly equal problem.
         w: (m,) takes the change by the impulses.
-        x: (n,) takes the impulses. If several satisfy the law they are nearly those of least norm in the
-            metric of the compliances.
+        x: (n,) takes the impulses; of several that satisfy the law nearly the limit of small compliances.
 
     Returns:
         The residual of the law, relative to u_free; infinite if the iteration has diverged.

@@ -104,7 +104,7 @@ class SceneImpacts:
             contact, kind = contacts[i], (in_world, bool(self._held))  # what the types of numbers depend on
             if kind not in _compiled:
                 _compiled.add(kind)
-                with suppress(PinimpactError):  # what is wrong with it is told when it collides
+                with suppress(PinimpactError):  # what is wrong with it is reported when it collides
                     self._impact(replace(contact, restitution=0.0), q, zero)
                     self.without_collision(q, zero, i)
 
