@@ -32,7 +32,7 @@ def check_start(
 ) -> None:
     """Check the state in which a motion starts; put it onto surfaces and limits that it is off by rounding.
 
-    What overlaps by more, but by no more than time steps may leave, is described by the `overlap` of the state.
+    The `overlap` of the state describes what overlaps by more, but by no more than time steps may leave.
 
     Args:
         model: The robot.
