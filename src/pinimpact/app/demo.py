@@ -24,10 +24,11 @@ from ..scene.scene import Scene
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
 from ..visual.surface_shapes import MARGIN
-from .posture import TILTS, Body, Strike, arm_posture, bent, landing, soles
+from .posture import FLAT, TILTS, Body, Strike, arm_posture, bent, landing, soles
 from .robot_info import frame_label, free_base, suggested_frames
 
 Array = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
 
 BEFORE, AFTER = 0.15, 0.25
 """Simulated time before and after the impact [s], for a robot of 1 m; less for smaller ones."""
@@ -42,16 +43,11 @@ base with a small support (`_steadiness`)."""
 TILT = (-0.15, 0.25, 0.0)
 """Roll, pitch and yaw of a free base at impact [rad], so that one foot lands first; smaller likewise."""
 LEAST_LEVER = 0.01
-"""A point counts as movable if joints at 1 rad/s or m/s give it this speed [m/s]."""
-NO_INERTIA = 1e-14
-"""Inertia [kg m² or kg] that is taken as zero."""
+"""A point counts as movable if joints at 1 rad/s or m/s give it this speed [m/s], and it reaches that part of
+its speed."""
 WEAK, LEAST_RANK = 0.1, 1e-3
 """Lever arms relative to the longest one below which a direction is left out: by default, and where the user
 gives the direction."""
-SINGULAR = 1e-12
-"""Smallest eigenvalue of the mass matrix, scaled to a diagonal of ones, that is not taken as zero."""
-CLEAR = 1e-3
-"""Distance of other possible contacts at impact, relative to the robot's size."""
 STIFFNESS, DAMPING, G = 1.0, 0.05, 9.81
 """Of springs in the joints of a free base, in weight times size per rad and √(size/g); g [m/s²]."""
 FLOOR = 0.1
@@ -216,7 +212,7 @@ def _idle_joints(model: pin.Model, q: Array) -> set[int]:
     while True:
         free = [k for k, j in enumerate(joint_of) if j not in idle]
         diagonal = mass.diagonal()[free]
-        empty = {joint_of[k] for k, inertia in zip(free, diagonal, strict=True) if inertia <= NO_INERTIA}
+        empty = {joint_of[k] for k, inertia in zip(free, diagonal, strict=True) if inertia <= 0.0}
         if empty or not free:
             idle |= empty
             if not free:
@@ -224,7 +220,7 @@ def _idle_joints(model: pin.Model, q: Array) -> set[int]:
             continue
         scaled = mass[np.ix_(free, free)] / np.sqrt(np.outer(diagonal, diagonal))
         sizes, directions = np.linalg.eigh(scaled)
-        if sizes[0] > SINGULAR:
+        if sizes[0] > len(free) * EPS * sizes[-1]:
             return idle
         idle.add(joint_of[free[int(np.argmax(np.abs(directions[:, 0])))]])
 
@@ -279,13 +275,12 @@ def _touch(
             v[: jacobian.shape[1]] = np.linalg.pinv(jacobian, rcond=least) @ wanted
             reached = jacobian @ v[: jacobian.shape[1]]
             rate = float(np.linalg.norm(reached))
-            if rate <= 1e-3 or rate < LEAST_LEVER * float(np.linalg.norm(v)):
+            if rate <= LEAST_LEVER * max(1.0, float(np.linalg.norm(v))):
                 continue
             moves = reached / rate
             if float(tried[2] @ moves) <= -0.1:
                 scale = size if speed is not None or along is not None else float(np.linalg.norm(default))
-                exact = float(np.linalg.norm(reached - wanted)) < 1e-6 * rate
-                v *= scale / (float(np.linalg.norm(wanted)) if exact else rate)
+                v *= scale / rate
                 table = Plane(point=tuple(strike.point.tolist()), normal=tuple(tried[2].tolist()))
                 mu, e, kind = law
                 contact = Contact(
@@ -348,7 +343,7 @@ def _place(body: Body, point: Array, i: int, number: int = 1) -> dict[str, Any]:
     model, key = body.model, frame_label(body.model, i)
     label = (key if isinstance(key, str) else f"{model.frames[i].name} (frame {key})") + " on table"
     offset = body.data.oMf[i].actInv(point)
-    offset = np.where(np.abs(offset) < 1e-12, 0.0, offset)
+    offset = np.round(offset, 12) + 0.0  # no negative zero
     return {
         "frame": key,
         "offset": tuple(offset.tolist()),
@@ -365,7 +360,7 @@ def _other_feet(body: Body, touch: Touch) -> list[Contact]:
     for joint, i in own.items():
         points = soles(body, touch.q, joint, first.plane.axes)
         contacts = [replace(first, **_place(body, point, i, k + 1)) for k, point in enumerate(points)]
-        found += [one for one in contacts if one.gap(model, body.data, touch.q) > CLEAR * body.size]
+        found += [one for one in contacts if one.gap(model, body.data, touch.q) > FLAT * body.size]
     return found
 
 

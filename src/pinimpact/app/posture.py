@@ -40,10 +40,9 @@ TILTS = (1.0, 0.5, 0.2, 0.0)
 SLOPE, APART = 0.6, 0.05
 """Tilts at which a foot has another lowest point, and the smallest distance of two such relative to the
 size."""
-POINT = 1e-6
-"""Radius of a sphere in place of a frame [m]."""
 FLAT = 1e-3
-"""Points this close to the lowest one belong to the same edge or face, relative to the robot's size."""
+"""Points this close to the lowest one belong to the same edge or face, relative to the robot's size; other
+contacts are further away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ class Body:
         if self.bare:
             frames = self.model.frames[1:]
             self.solids = [(int(f.parentJoint), f.placement.translation[None].copy()) for f in frames]
-            self.hulls = [(coal.Sphere(POINT), f.placement) for f in frames]
+            self.hulls = [(coal.Sphere(0.0), f.placement) for f in frames]
         every = np.vstack(self.at(robot.q0))
         self.size = float(np.linalg.norm(np.ptp(every, axis=0))) or 1.0
 

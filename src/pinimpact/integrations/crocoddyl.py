@@ -229,7 +229,7 @@ def _check_gravity() -> None:
     )
     data = fall.createData()
     fall.calc(data, np.zeros(2), np.zeros(1))
-    if abs(data.xout[0] + 9.81) > 1e-6:
+    if not np.isclose(data.xout[0], -9.81):
         raise InputError(
             f"crocoddyl: a body falls at {-data.xout[0]:g} m/s² instead of 9.81; this Crocoddyl was built "
             f"for another Pinocchio than {pin.__version__}; pip install 'pinimpact[crocoddyl]'",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -210,6 +210,9 @@ class Contact:
         if self.geometry is not None:
             return min(tip.gap(model, data, q) for tip in self.tips(model))
         return PlacedRobot(model, data, q).locate(self)[0]
+
+
+Contacts: TypeAlias = Sequence[Contact]
 
 
 def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array]:

@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.convex_pair import Touch
 from ..geometry.convex_shape import PlacedShape
-from ..geometry.tolerances import COINCIDE
+from ..geometry.tolerances import COINCIDE, FACE
 from ._kernels import configuration_slopes as places
 from .contact import Contact
 from .placed_robot import PlacedRobot
 from .shape_pair import ShapePair, closest_points, point_contact
 
 Array = NDArray[np.float64]
-
-ON_FACE = 1e-9
-"""One minus the cosine between a normal and that of a face which it is."""
 
 
 class Corner(NamedTuple):
@@ -127,7 +124,7 @@ class _Side(NamedTuple):
     def rests_on(self, other: _Side, normal: Array) -> bool:
         """Whether a normal is that of a face of the other shape."""
         faces = other.placed
-        return len(faces.shape.faces) > 0 and bool((faces.normals @ normal).max() > 1.0 - ON_FACE)
+        return len(faces.shape.faces) > 0 and bool((faces.normals @ normal).max() > FACE)
 
     @property
     def _near(self) -> float:

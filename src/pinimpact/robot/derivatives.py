@@ -19,7 +19,7 @@ from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
 from ._kernels.tree import solve
-from .contact import Contact, check_contact, check_held
+from .contact import Contact, Contacts, check_contact, check_held
 from .data_cache import data_cache
 from .forest import composite_inertias, joint_jacobian
 from .held import check_at_rest
@@ -135,7 +135,7 @@ def slope_of_restitution(contact: Contact, speed: float) -> float:
 
 @overload
 def impact_derivatives(
-    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *more: Any, **options: Any
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *rest: Any, **more: Any
 ) -> ImpactDerivatives: ...
 @overload
 def impact_derivatives(
@@ -143,7 +143,7 @@ def impact_derivatives(
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
-    contact: Sequence[Contact],
+    contact: Contacts,
     *more: Any,
     **options: Any,
 ) -> ManyImpactDerivatives: ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,7 +19,7 @@ from ..display import html_table, in_a_line
 from ..errors import InputError
 from ._kernels import contact_kinematics
 from ._kernels.responses import half_solve, respond
-from .contact import Contact, check_contact, check_held
+from .contact import Contact, Contacts, check_contact, check_held
 from .held import check_at_rest, warn_of_pulls
 from .matrices import ManyMatrices, many_matrices
 from .names import Stiffening
@@ -27,6 +27,18 @@ from .placed_robot import PlacedRobot
 from .touching import check_rims
 
 Array = NDArray[np.float64]
+
+
+class ImpactOptions(NamedTuple):
+    """The options of `impact`; `more` are those of the method or policy."""
+
+    held: Sequence[Contact]
+    locked: Sequence[str | int]
+    method: str
+    record: bool
+    simultaneous: str
+    stiffening: Stiffening
+    more: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -71,26 +83,22 @@ def impact_at_many(
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
-    contacts: Sequence[Contact],
-    held: Sequence[Contact],
-    locked: Sequence[str | int],
-    simultaneous: str,
-    record: bool,
-    stiffening: Stiffening,
-    options: dict[str, Any],
+    contacts: Contacts,
+    asked: ImpactOptions,
 ) -> ManyHit:
     """Compute the impact of a robot at n contacts; see `impact`."""
-    held = check_many(contacts, held)
+    held = check_many(contacts, asked.held)
     placed = PlacedRobot(model, data, q)
     check_rims(placed, contacts)
-    compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
-    matrices = many_matrices(model, data, q, contacts, held, locked, stiffening)
+    policy = asked.simultaneous
+    compile_policy(policy, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
+    matrices = many_matrices(model, data, q, contacts, held, asked.locked, asked.stiffening)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
     placed.cache.check_limits(placed.q, stacklevel=6)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     problem = many_problem(contacts, matrices, velocity)
-    solution = solve_impact(problem, record=record, simultaneous=simultaneous, **options)
+    solution = solve_impact(problem, record=asked.record, simultaneous=policy, **asked.more)
     impulse = solution.impulse.ravel()
     held_impulses = matrices.held_response @ impulse
     warn_of_pulls(matrices.held, held, held_impulses, impulse, 4)

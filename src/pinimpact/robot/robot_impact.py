@@ -21,10 +21,10 @@ from ..display import html_table, in_a_line
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
-from .contact import Contact, check_contact, check_held
+from .contact import Contact, Contacts, check_contact, check_held
 from .data_cache import DataCache, _caches, data_cache, not_normalized
 from .held import check_at_rest, warn_of_pulls
-from .many_impact import ManyHit, impact_at_many
+from .many_impact import ImpactOptions, ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
 from .names import Stiffening, is_stiff, model_of, singular_mass
 from .placed_robot import PlacedRobot
@@ -174,7 +174,7 @@ class Hit:
 
 @overload
 def impact(
-    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *more: Any, **options: Any
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *rest: Any, **more: Any
 ) -> Hit: ...
 @overload
 def impact(
@@ -182,7 +182,7 @@ def impact(
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
-    contact: Sequence[Contact],
+    contact: Contacts,
     *more: Any,
     **options: Any,
 ) -> ManyHit: ...
@@ -243,8 +243,8 @@ def impact(
     stiff = stiffening is not None and is_stiff(stiffening)
     general = stiff or method != "exact" or held or locked or record or options
     if type(contact) is not Contact or contact.geometry is not None or contact.rim > 0.0 or general:
-        rest: Any = held, locked, method, record, simultaneous, stiffening, options
-        return _general_impact(robot, model, data, q, v, contact, *rest)
+        asked = ImpactOptions(held, locked, method, record, simultaneous, stiffening, options)
+        return _general_impact(robot, model, data, q, v, contact, asked)
     # the common case of what `float_array` returns, in a tenth of its time
     usual = type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape and q.flags.carray
     q_now: Array = q if usual else float_array("q", q, cache.q_shape)  # type: ignore[assignment]
@@ -289,31 +289,22 @@ def _general_impact(
     q: ArrayLike,
     v: ArrayLike,
     contact: Any,
-    held: Sequence[Contact],
-    locked: Sequence[str | int],
-    method: str,
-    record: bool,
-    simultaneous: str,
-    stiffening: Stiffening,
-    options: dict[str, Any],
+    asked: ImpactOptions,
 ) -> Hit | ManyHit:
     """Compute the impact at several contacts, at what a collision shape touches, or with other options."""
     if isinstance(contact, Sequence) and not isinstance(contact, str):
-        many: Any = contact, held, locked, simultaneous, record, stiffening, options
-        return impact_at_many(model, data, q, v, *many)
+        return impact_at_many(model, data, q, v, contact, asked)
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     if contact.geometry is None:
         if contact.rim > 0.0:
             check_rims(PlacedRobot(model, data, q), (contact,))
-        rest: Any = held, locked, method, record, stiffening, options
-        return _impact_in_steps(model, data, q, v, contact, *rest)
+        return _impact_in_steps(model, data, q, v, contact, asked)
     nearest = touching_points if is_pair(robot, contact) else touching_tips
     tips = nearest(robot, data, q, contact)
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
     one_or_many: Any = tips[0] if len(tips) == 1 else tips
-    rest = held, locked, method, record, simultaneous, stiffening
-    return impact(robot, data, q, v, one_or_many, *rest, **options)
+    return impact(robot, data, q, v, one_or_many, *asked[:-1], **asked.more)
 
 
 def impact_by_pinocchio(
@@ -338,21 +329,11 @@ def restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array
 
 
 def _impact_in_steps(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contact: Contact,
-    held: Sequence[Contact],
-    locked: Sequence[str | int],
-    method: str,
-    record: bool,
-    stiffening: Stiffening,
-    options: dict[str, Any],
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, asked: ImpactOptions
 ) -> Hit:
     """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply."""
-    held = check_held(held)
-    matrices = contact_matrices(model, data, q, contact, held, locked, stiffening)
+    held = check_held(asked.held)
+    matrices = contact_matrices(model, data, q, contact, held, asked.locked, asked.stiffening)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=6)
@@ -366,7 +347,7 @@ def _impact_in_steps(
         factor=matrices.factor,
         factor_scale=matrices.factor_scale,
     )
-    solution = solve_impact(problem, method=method, record=record, **options)
+    solution = solve_impact(problem, method=asked.method, record=asked.record, **asked.more)
     held_impulses = matrices.held_response @ solution.impulse
     warn_of_pulls(matrices.held, held, held_impulses, solution.impulse, 4)
     numbers = np.concatenate(

@@ -344,14 +344,19 @@ def checked_bounds(
     return checked
 
 
+def symmetric(matrices: Array) -> bool:
+    """Whether matrices (…, m, m) are symmetric to half of their digits; sums in another order are."""
+    skew = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max(axis=(-1, -2))
+    return bool((skew <= np.sqrt(np.finfo(float).eps) * np.abs(matrices).max(axis=(-1, -2))).all())
+
+
 def whitener(field: str, covariance: ArrayLike, count: int, size: int) -> Array:
     """Return L⁻¹ (n, m, m) with L Lᵀ the covariance of each row, or raise `InputError`."""
     given = real_numbers(field, covariance)
     matrices = np.broadcast_to(given, (count, size, size)) if given.shape == (size, size) else given
     matrices = finite_array(field, matrices, (count, size, size))
-    skew = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=(1, 2))
     try:
-        if (skew > 1e-9 * np.abs(matrices).max(axis=(1, 2))).any():  # more than sums in another order differ
+        if not symmetric(matrices):
             raise np.linalg.LinAlgError
         lower = np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:

@@ -200,7 +200,8 @@ def _without_jumps(result: Identified, ahead: Array, behind: Array) -> None:
     slope = np.linalg.norm(ahead + behind, axis=1)
     jumps = np.linalg.norm(ahead - behind, axis=1) > CURVED * slope
     for j, name in enumerate(result.names):
-        share = float((slope[jumps[:, j], j] ** 2).sum() / max((slope[:, j] ** 2).sum(), 1e-300))
+        whole = float((slope[:, j] ** 2).sum())
+        share = float((slope[jumps[:, j], j] ** 2).sum()) / whole if whole > 0.0 else 0.0
         if share > JUMPS and np.isfinite(result.covariance[j, j]):
             result.covariance[j] = result.covariance[:, j] = 0.0
             result.covariance[j, j] = np.inf

@@ -21,12 +21,12 @@ ANGLES = 64
 HALVINGS = 50
 """Of such an interval, to rounding."""
 
-
 ROUNDING = 32.0 * np.finfo(float).eps
 """Of an eigenvalue of W over the largest, within which it is zero."""
 
-OUTSIDE = 1e-8
-"""Part of a velocity outside the range of a singular W that is rounding: of robots with cancellation too."""
+OUTSIDE = float(np.sqrt(np.finfo(float).eps))
+"""Part of a velocity outside the range of a singular W that is rounding: half of the digits; the
+others cancel at some robots."""
 
 
 class OneStepSlopes(NamedTuple):

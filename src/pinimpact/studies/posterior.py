@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..errors import InputError
 from ..scene.scene import Scene
-from .estimate import Identified
+from .estimate import Identified, symmetric
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,8 @@ def covariance_root(field: str, covariance: ArrayLike, size: int) -> Array:
     """Return L with L Lᵀ = the covariance, which may be singular, or raise `InputError`."""
     matrix = finite_array(field, covariance, (size, size))
     values, vectors = np.linalg.eigh(matrix)
-    if not np.allclose(matrix, matrix.T) or values.min() < -1e-12 * max(values.max(), 0.0):
+    rounding = 32.0 * size * np.finfo(float).eps * np.abs(values).max()
+    if not symmetric(matrix) or values.min() < -rounding:
         raise InputError(
             f"{field}: not a covariance; a symmetric matrix without negative eigenvalues expected",
             field=field,

@@ -155,6 +155,6 @@ def skeleton(model: pin.Model) -> tuple[list[tuple[int, int]], list[list[float]]
     spots = {
         (int(frame.parentJoint), *short(frame.placement.translation))
         for frame in model.frames
-        if frame.parentJoint > 0 and np.linalg.norm(frame.placement.translation) > 1e-6
+        if frame.parentJoint > 0 and not np.allclose(frame.placement.translation, 0.0)
     }
     return links, [list(spot) for spot in sorted(spots)]

@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 COLUMNS = 4
-ROUNDING = 1e-17
-"""Drawn value of an error of zero."""
+ROUNDING = float(np.finfo(float).eps)
+"""Smallest error that is drawn: relative ones below it are rounding."""
 
 
 @dataclass(frozen=True, slots=True)

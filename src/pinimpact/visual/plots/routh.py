@@ -16,6 +16,9 @@ from .style import BLACK, COMPRESSION, GREEN, RESTITUTION, STICK, axes_for, lege
 
 Array = NDArray[np.float64]
 
+FLAT = float(np.sqrt(np.finfo(float).eps))
+"""Part by which an impact in a plane may leave it: unstable slip amplifies rounding."""
+
 
 def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
     """Draw the path of the impulse in the space of impulses (Routh's diagram).
@@ -69,11 +72,11 @@ def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
     longest = vectors[np.linalg.norm(vectors, axis=1).argmax()]
     length = float(np.linalg.norm(longest))
     direction = longest / length if length > 0.0 else np.array([1.0, 0.0])
-    if direction[0] < -1e-12 or (abs(direction[0]) <= 1e-12 and direction[1] < 0.0):
+    if direction[np.abs(direction).argmax()] < 0.0:
         direction = -direction
     across = np.array([-direction[1], direction[0]])
     for row in (impulse[:, :2], velocity[:2], w[:2, 2], w[:2, :2] @ direction):
-        if np.abs(row @ across).max() > 1e-9 * float(np.abs(row).max()):
+        if np.abs(row @ across).max() > FLAT * float(np.abs(row).max()):
             return None
     return direction
 
