@@ -6,7 +6,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, INTEGERS, declared
 from ..._compile.jit import jit
-from .contact_forces import FREE
+from .contact_forces import FREE, HELD
 from .dynamics import all_gaps
 from .workspace import SceneWorkspace
 
@@ -23,6 +23,9 @@ slips, however slowly."""
 def fastest_approach(work, q, v, starting, where, slow):
     """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].
 
+    What approaches arrives with what arrives if it is as near, to the tolerance and the constraint drift: no
+    gap is known better, such as those of the far corners of a box that turns about an edge onto its face.
+
     Args:
         work: The workspace.
         q: (nq,) configuration.
@@ -36,6 +39,12 @@ def fastest_approach(work, q, v, starting, where, slow):
     contacts = len(bilateral)
     found = np.empty((len(where), 2))
     all_gaps(work, q, v, found)
+    arrives, drift = False, 0.0
+    for i in range(len(where)):
+        arrives = arrives or where[i] == ARRIVING
+        if where[i] == ARRIVING or (modes[i] != FREE and modes[i] != HELD):
+            drift = max(drift, abs(found[i, 0]))
+    together = max(near, drift + work.atol) if arrives else near
     fastest, source = 0.0, -1
     for i in range(len(where)):
         gap, rate = found[i, 0], found[i, 1]
@@ -45,6 +54,8 @@ def fastest_approach(work, q, v, starting, where, slow):
             continue
         if where[i] == APART and (gap <= near or modes[i] != FREE):
             where[i] = ARRIVING if starting and gap <= near else TOUCHING
+        if where[i] == APART and gap <= together and rate < -work.least_approach:
+            where[i] = ARRIVING
         if where[i] == APART:
             continue
         if (
