@@ -199,6 +199,41 @@ def test_slip_that_stops_along_an_unstable_direction_is_as_a_start_from_rest():
     assert np.isfinite(d.dv_drestitution).all()
 
 
+def test_slip_that_turns_round_in_a_plane_of_symmetry():
+    # slips back after it stopped; what it has across then goes as a power of what it had, of more than one
+    def mass(across):
+        return np.array([[1.5, 0.0, 1.0], [0.0, across, 0.0], [1.0, 0.0, 1.3]])
+
+    W, v, mu = mass(0.3), [-0.05, 0.0, -1.0], 0.5
+    d = at(W, v, mu)
+    assert d.boundary == Boundary.EVENTS_COINCIDE
+    assert at(mass(1.8), v, mu).boundary == Boundary.NONE  # a power of more than two
+    known = [0, 2, 3, 5, 8, 9, 10]
+    in_plane = slopes(W, v, mu, 0.5, "poisson", known)
+    assert error(columns_of(d)[:, known], in_plane[:, known], W, v) < 1e-9
+    assert d.dv_dv[1, 1] == 0.0
+    slows, falls, grows = 1.0 + mu * 1.5, mu * 0.3, 1.0 - mu * 1.5
+    power = (1.0 + falls / grows) / (1.0 - falls / slows)
+    steps = 1e-5, 1e-6
+    ends = [pinimpact.solve_impact(ImpactProblem(W, [v[0], h, v[2]], mu, 0.5)).velocity[1] for h in steps]
+    assert np.log10(ends[0] / ends[1]) == pytest.approx(power, rel=1e-3)
+
+
+def test_panels_are_short_enough_for_the_work_of_slip_that_stops_at_high_friction():
+    # a panel around an invariant direction on which r²/g grows by e¹⁸ misses 3e-9
+    W = np.array(
+        [
+            [1.1670477719786607, 0.31911605103589463, -0.478686692372857],
+            [0.31911605103589463, 0.855181658068907, -0.5090086304192746],
+            [-0.478686692372857, -0.5090086304192746, 0.9795375112059294],
+        ]
+    )
+    v, mu, e = [0.0888981564776723, 2.010901117501425, -0.7008733984338208], 127.98369189359983, 0.65
+    solution = pinimpact.solve_impact(ImpactProblem(W, v, mu, e, "energetic"), derivatives=True)
+    found = columns_of(solution.derivatives)
+    assert error(found, slopes(W, v, mu, e, "energetic"), W, v) < 2e-10
+
+
 def test_slip_that_settles_by_more_than_doubles_hold():
     # the angle to its direction falls by a factor exp(1111) until compression ends
     W = np.array(

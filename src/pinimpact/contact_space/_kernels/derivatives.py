@@ -65,6 +65,7 @@ from .sensitivities import (
     clear_rows,
     combine,
 )
+from .slip_equations import in_frame
 from .slip_panels import ROOM
 from .tolerances import COINCIDENT, FLAT
 
@@ -265,6 +266,13 @@ def _needed(problem, moves, rows):
     return last, stop
 
 
+@inlined
+def _repels(problem, s1, s2):
+    """Return whether slip that stops straight along σ turns away from small changes across: η < ½. (D33)"""
+    al, _, ap, bl, _ = in_frame(problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, s1, s2)
+    return not problem.flat and 2.0 * problem.mu * ap < problem.mu * al - bl
+
+
 @always_inlined
 def _join(moves, rows):
     """Join moves of turning slip that follow each other in pairs; return how many moves are left.
@@ -336,6 +344,8 @@ def _follow(problem, units, view, moves, values, rows, after3):
             rest_at = p3
             if 0.0 < abs(move[11]) < math.inf:  # it still turned, so P* depends on directions as from rest
                 boundary |= START_AT_REST
+            elif _repels(problem, move[7], move[8]):
+                boundary |= EVENTS_COINCIDE
             clear_rows(values, VT1, PATH)
         if works and move[1] == COMPRESSION:
             total += work_unit * move[4]

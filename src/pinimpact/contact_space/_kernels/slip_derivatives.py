@@ -10,8 +10,8 @@ from .sensitivities import PATH, STOP, VT1, arrive, clear_rows, combine
 from .slip_panels import HALF_ANGLE, INVARIANT, STRAIGHT, Slip, cross_panel, frame_polynomials
 from .tolerances import TAIL
 
-EFOLDS = 6.0
-"""Change of ln r or ln g on a panel, at most."""
+EFOLDS = 4.0
+"""Change of ln r or ln g on a panel, at most: r²/g is then e¹², which twelve nodes integrate."""
 
 NEAREST = 1.6
 """Length of a panel, in L, over the distance of the next invariant direction."""
