@@ -99,7 +99,8 @@ def solve_island(problem, accuracy, begin, change, found):
         found: (n,) takes the impulses.
     """
     n, m = len(found), len(change)
-    off, other, moved, part = math.inf, np.zeros(n), np.empty(m), SOFTEST
+    off, other, moved = math.inf, np.zeros(n), np.empty(m)
+    part = SOFTEST if len(problem.friction) > 0 else 0.1 * accuracy  # scalar rows need no gradual approach
     for attempt in range(ATTEMPTS):
         if attempt > 0:  # with less at a time, from nothing
             part *= LESS
