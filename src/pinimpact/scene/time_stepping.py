@@ -433,7 +433,8 @@ class TimeStepping(Integrator):
         jacobian = rows.values[numbers], rows.columns[numbers], rows.counts[numbers]
         problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
         every = np.ones(len(free), dtype=bool)
-        step_impulses(problem, every, self._tree, ROUGH, nothing.copy(), correction, pushes)
+        parts = 0.1 * ROUGH, ROUGH  # at once: without friction no gradual approach is needed
+        step_impulses(problem, every, self._tree, *parts, nothing.copy(), correction, pushes)
         return correction, pushes
 
     def _energy_at(self, q: Array) -> float:

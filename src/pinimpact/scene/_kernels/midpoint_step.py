@@ -11,7 +11,7 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, rates
 from ..._numeric.loops import flags
 from ..._numeric.products import apply_symmetric
-from ..._numeric.tolerances import SETTLED
+from ..._numeric.tolerances import SETTLED, SOFTEST
 from ...geometry._kernels.constants import RADIUS
 from .dynamics import (
     ABA,
@@ -313,7 +313,7 @@ def midpoint_step(work, t, h, q, v, touching, system, rows, begin, pushed, found
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)
     problem, active = contact_problem(work, h, system, rows, found.arrives, free)
-    off = step_impulses(problem, active, system.tree, SETTLED, begin, mean, found.impulse)
+    off = step_impulses(problem, active, system.tree, SOFTEST, SETTLED, begin, mean, found.impulse)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:
             v_end[c] = predicted[c] = 0.0

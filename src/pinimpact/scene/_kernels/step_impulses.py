@@ -15,7 +15,6 @@ from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
-from ..._numeric.tolerances import SOFTEST
 
 USABLE = 1e-5
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
@@ -88,11 +87,12 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
 
 
 @external
-def solve_island(problem, accuracy, begin, change, found):
+def solve_island(problem, part, accuracy, begin, change, found):
     """Find the impulses of an island; return how far they are from Coulomb's law, in parts of u_free.
 
     Args:
         problem: Its `VelocityProblem`.
+        part: See `solve_velocities`.
         accuracy: Part of u_free to which to find them.
         begin: (m,) change of the velocities with which to begin; takes a better one, see `solve_velocities`.
         change: (m,) takes that by the impulses.
@@ -100,7 +100,6 @@ def solve_island(problem, accuracy, begin, change, found):
     """
     n, m = len(found), len(change)
     off, other, moved = math.inf, np.zeros(n), np.empty(m)
-    part = SOFTEST if len(problem.friction) > 0 else 0.1 * accuracy  # scalar rows need no gradual approach
     for attempt in range(ATTEMPTS):
         if attempt > 0:  # with less at a time, from nothing
             part *= LESS
@@ -228,9 +227,9 @@ def problem_of(problem, island):
     return VelocityProblem(own_mass, own_inverse, own, where, lengths, given, mu, low, high, soft)
 
 
-@declared(VelocityProblem, FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS, result=float)
+@declared(VelocityProblem, FLAGS, INTEGERS, float, float, FLOATS, FLOATS, FLOATS, result=float)
 @jit
-def step_impulses(problem, active, tree, accuracy, begin, change, impulse):
+def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse):
     """Find the impulses of a step; return how far they are from Coulomb's law, in parts of u_free.
 
     Of several solutions nearly the limit of small compliances is taken. (11.5)
@@ -240,6 +239,7 @@ def step_impulses(problem, active, tree, accuracy, begin, change, impulse):
             end of the step without impulses, and what gaps leave of them.
         active: (nc + ns,) what takes part.
         tree: (nv,) number of the tree that each velocity belongs to.
+        part: See `solve_velocities`.
         accuracy: Part of u_free to which to find them.
         begin: (nv,) change of the velocities with which to begin; takes that with which a problem that is
             nearly the same begins best.
@@ -264,7 +264,8 @@ def step_impulses(problem, active, tree, accuracy, begin, change, impulse):
         start, moved, found = np.empty(len(moves)), np.empty(len(moves)), np.empty(len(rows))
         for a in range(len(moves)):
             start[a] = begin[moves[a]]
-        worst = max(worst, solve_island(problem_of(problem, island), accuracy, start, moved, found))
+        own = problem_of(problem, island)
+        worst = max(worst, solve_island(own, part, accuracy, start, moved, found))
         for a in range(len(rows)):
             impulse[rows[a]] = found[a]
         for a in range(len(moves)):
