@@ -14,6 +14,7 @@ from scipy.optimize import root
 import pinimpact
 from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate
 from pinimpact._numeric.augmented_newton import VelocityProblem
+from pinimpact._numeric.tolerances import SOFTEST
 from pinimpact.geometry._kernels.box_patch import box_patch
 from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
@@ -306,9 +307,10 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None):
     """Fill the impulses of one island; return how far they are from the law."""
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
-    problem = VelocityProblem(mass, np.linalg.inv(mass), *every, free, mu, none, none, compliance)
+    tree = np.zeros(m, dtype=np.int64)
+    problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, mu, none, none, compliance)
     return step_impulses(
-        *(problem, np.ones(len(mu), dtype=bool), np.zeros(m, dtype=np.int64), 1e-11),
+        *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11),
         *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),
     )
 

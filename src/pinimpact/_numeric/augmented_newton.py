@@ -26,7 +26,7 @@ from .._compile.declared import FLOATS, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign
-from .products import apply, dot
+from .products import dot
 from .profile import apply_within, eliminate_profile
 from .tolerances import BALANCED, STALLED
 
@@ -55,6 +55,7 @@ class VelocityProblem(NamedTuple):
     Attributes:
         mass: (m, m) M.
         inverse: (m, m) its inverse.
+        start: (m,) first columns of their rows that may not be zero.
         values: (n, …) the nonzero entries of each row of J, with the same columns for all rows of a contact.
         columns: (n, …) their columns, in ascending order.
         counts: (n,) their numbers.
@@ -67,6 +68,7 @@ class VelocityProblem(NamedTuple):
 
     mass: FloatRows
     inverse: FloatRows
+    start: Integers
     values: FloatRows
     columns: IntegerRows
     counts: Integers
@@ -156,24 +158,26 @@ def fill_derivative(z1, z2, z3, mu, coupled, d):
 
 
 @external
-def fill_system(problem, start, r, u, before, coupled, system):
+def fill_system(problem, profile, r, u, before, coupled, system):
     """Fill the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
 
     Args:
         problem: The `VelocityProblem`.
-        start: (m,) first columns of the rows of M.
+        profile: First columns (m,) and last ones (m,), see `find_profile`.
         r: (n,) of (16.3).
         u: (n,) velocities.
         before: (n,) f.
         coupled: Whether friction follows normal impulses; else the matrix is symmetric and definite.
         system: (m, m) takes the matrix.
     """
-    mass, _, values, columns, counts, _, mu, lower, upper, _ = problem
+    mass, _, start, values, columns, counts, _, mu, lower, upper, _ = problem
+    first, last = profile
     m, nc = len(mass), len(mu)
     d = np.empty((3, 3))
     for a in range(m):
-        for b in range(m):
+        for b in range(first[a], last[a] + 1):
             system[a, b] = 0.0
+    for a in range(m):
         for b in range(start[a], a + 1):
             system[a, b] = system[b, a] = mass[a, b]
     for i in range(nc):
@@ -199,12 +203,12 @@ def fill_system(problem, start, r, u, before, coupled, system):
 
 
 @external
-def balance(problem, start, r, before, now):
+def balance(problem, r, before, now):
     """Fill u, f⁺, M w and M w − Jᵀ f⁺ of an `Iterate`; return the relative size of the last.
 
     Other arguments are those of `fill_system`.
     """
-    mass, _, values, columns, counts, free, mu, lower, upper, _ = problem
+    mass, _, start, values, columns, counts, free, mu, lower, upper, _ = problem
     w, u, f, momentum, out = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
@@ -266,30 +270,30 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
 
 
 @external
-def find_profile(problem, start, last):
-    """Fill the first columns of the rows of M (m,), and the last ones of the factor of M + JᵀJ (m,)."""
-    mass, columns, counts = problem.mass, problem.columns, problem.counts
-    m = len(mass)
+def find_profile(problem, first, last):
+    """Fill the first and the last columns (m,) of the rows of the factors of M + JᵀJ."""
+    start, columns, counts = problem.start, problem.columns, problem.counts
+    m = len(start)
     for a in range(m):
-        start[a], last[a] = a, a
-        for b in range(a):
-            if mass[a, b] != 0.0:
-                start[a] = b
-                break
-        for b in range(start[a], a):
-            last[b] = max(last[b], a)
+        last[a] = a
+    for a in range(m):
+        last[start[a]] = max(last[start[a]], a)
     for a in range(len(counts)):
-        for k in range(counts[a]):
-            last[columns[a, k]] = max(last[columns[a, k]], columns[a, counts[a] - 1])
-    for a in range(1, m):
-        if last[a - 1] >= a:
+        k = columns[a, 0] if counts[a] > 0 else 0
+        last[k] = max(last[k], columns[a, counts[a] - 1] if counts[a] > 0 else 0)
+    k = 0
+    for a in range(m):
+        if a > 0:
             last[a] = max(last[a], last[a - 1])
+        while last[k] < a:
+            k += 1
+        first[a] = k
 
 
 @external
 def fill_compliances(problem, part, diagonal, given):
     """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
-    _, inverse, values, columns, counts, _, _, _, _, compliance = problem
+    _, inverse, _, values, columns, counts, _, _, _, _, compliance = problem
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
@@ -321,25 +325,24 @@ def solve_compliances(problem, profile, r, before, least, now, system):
         now: The `Iterate`; it changes.
         system: (m, m) is overwritten.
     """
-    start, last = profile
     rounded, enough = least
     w, momentum, off = now.w, now.momentum, now.off
     m, reached = len(w), math.inf
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
         answer_signals()
-        left = balance(problem, start, r, before, now)
+        left = balance(problem, r, before, now)
         if step == STEPS or left <= enough or (left < 1e3 * rounded and left > 0.5 * reached):
             break
         reached, share = left, 0.0
         for attempt in range(2):  # the second one descends in any case
-            fill_system(problem, start, r, now.u, before, attempt == 0, system)
+            fill_system(problem, profile, r, now.u, before, attempt == 0, system)
             for a in range(m):
                 d[a] = -off[a]
-            if not eliminate_profile(system, last, d):
+            if not eliminate_profile(system, profile[1], d):
                 continue
             rates(problem.values, problem.columns, problem.counts, d, du)
-            apply_within(problem.mass, start, d, md)
+            apply_within(problem.mass, problem.start, d, md)
             share = length_of_step(problem, r, before, now, du, dot(d, momentum), dot(d, md))
             if share > 0.0:
                 break
@@ -358,7 +361,7 @@ def residual_of(problem, diagonal, x, now):
     for a in range(len(w)):
         momentum[a] = 0.0
     add_transposed(values, columns, counts, x, momentum)
-    apply(problem.inverse, momentum, w)
+    apply_within(problem.inverse, problem.start, momentum, w)
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += problem.free[a]
@@ -397,8 +400,8 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
         for a in range(m):
             w[a] = begin[a] = 0.0
         return 0.0
-    start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(problem, start, last)
+    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    find_profile(problem, *profile)
     diagonal, r, system = np.empty(n), np.empty(n), np.empty((m, m))
     fill_compliances(problem, part, diagonal, r)
     f = np.empty(n)
@@ -408,7 +411,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
     lowest, reached, finer, slow = math.inf, 1.0, False, 0
     for iteration in range(ITERATIONS):
         enough = max(balanced, INEXACT * reached)
-        solve_compliances(problem, (start, last), r, x, (balanced, enough), now, system)
+        solve_compliances(problem, profile, r, x, (balanced, enough), now, system)
         if iteration == 0:
             assign(begin, w)
         reached = 0.0

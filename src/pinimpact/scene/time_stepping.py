@@ -83,6 +83,7 @@ class TimeStepping(Integrator):
         self._touching = max(work.touching_gap, STEPS_TOUCH * self.extent)
         self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
+        self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = REST * (work.resting_speed or 1.0)
         self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
@@ -213,7 +214,7 @@ class TimeStepping(Integrator):
         softened, pushed = self._softening(h), state.pushed
         self._invert(middle, softened)
         system = StepSystem(
-            *(self._mass, self._inverse, softened, self._tree),
+            *(self._mass, self._inverse, softened, self._tree, self._start),
             *(self._rest.joints, self._bounces, self._compliances),
         )
         state.warm_start = np.array(state.warm_start)
@@ -431,7 +432,8 @@ class TimeStepping(Integrator):
         lower, upper = np.zeros(len(free)), np.full(len(free), math.inf)
         lower[len(places) :] = -math.inf
         jacobian = rows.values[numbers], rows.columns[numbers], rows.counts[numbers]
-        problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
+        matrices = self._mass, self._inverse, self._start
+        problem = VelocityProblem(*matrices, *jacobian, free, _NONE, lower, upper, _NONE)
         every = np.ones(len(free), dtype=bool)
         parts = 0.1 * ROUGH, ROUGH  # at once: without friction no gradual approach is needed
         step_impulses(problem, every, self._tree, *parts, nothing.copy(), correction, pushes)

@@ -225,7 +225,8 @@ def contact_problem(work, h, system, rows, arrives, free):
     for i in range(every):
         free[3 * i + 2] += 2.0 * (max(gap[i], 0.0) if i < nc else gap[i]) / h
     problem = VelocityProblem(
-        *(system.mass, system.inverse, values, columns, counts, free, friction, lower, upper, compliance)
+        *(system.mass, system.inverse, system.start, values, columns, counts, free, friction),
+        *(lower, upper, compliance),
     )
     return problem, active
 

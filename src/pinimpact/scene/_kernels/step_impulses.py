@@ -121,7 +121,7 @@ def solve_in_impulses(problem, off, change, found):
 
     Arguments and value are those of `solve_island`; `off` is how far those in `found` are from the law.
     """
-    _, inverse, values, columns, counts, free, friction, lower, upper, compliance = problem
+    _, inverse, _, values, columns, counts, free, friction, lower, upper, compliance = problem
     n, m, nc = len(found), len(change), len(friction)
     jacobian, response, delassus = np.zeros((n, m)), np.empty((n, m)), np.empty((n, n))
     for a in range(n):
@@ -202,19 +202,20 @@ def members(nc, number, label, first, tree, place):
 def problem_of(problem, island):
     """Return the `VelocityProblem` of an island, from that of all."""
     items, contacts, rows, moves, place = island
-    mass, inverse, values, columns, counts, free, friction, lower, upper, compliance = problem
+    mass, inverse, start, values, columns, counts, free, friction, lower, upper, compliance = problem
     m, n, scalars, widest = len(moves), len(rows), len(items) - contacts, 0
     for a in range(n):
         widest = max(widest, counts[rows[a]])
-    own_mass, own_inverse = np.empty((m, m)), np.empty((m, m))
+    own_mass, own_inverse, first = np.zeros((m, m)), np.zeros((m, m)), np.empty(m, dtype=np.int64)
     own, where = np.empty((n, widest)), np.empty((n, widest), dtype=np.int64)
     lengths, given = np.empty(n, dtype=np.int64), np.empty(n)
     mu, soft = np.empty(contacts), np.empty(contacts)
     low, high = np.empty(scalars), np.empty(scalars)
     for a in range(m):
-        for b in range(m):
-            own_mass[a, b] = mass[moves[a], moves[b]]
-            own_inverse[a, b] = inverse[moves[a], moves[b]]
+        first[a] = place[start[moves[a]]]
+        for b in range(first[a], a + 1):
+            own_mass[a, b] = own_mass[b, a] = mass[moves[a], moves[b]]
+            own_inverse[a, b] = own_inverse[b, a] = inverse[moves[a], moves[b]]
     for a in range(n):
         given[a], lengths[a] = free[rows[a]], counts[rows[a]]
         for k in range(lengths[a]):
@@ -224,7 +225,7 @@ def problem_of(problem, island):
     for k in range(scalars):
         i = items[contacts + k] - len(friction)
         low[k], high[k] = lower[i], upper[i]
-    return VelocityProblem(own_mass, own_inverse, own, where, lengths, given, mu, low, high, soft)
+    return VelocityProblem(own_mass, own_inverse, first, own, where, lengths, given, mu, low, high, soft)
 
 
 @declared(VelocityProblem, FLAGS, INTEGERS, float, float, FLOATS, FLOATS, FLOATS, result=float)

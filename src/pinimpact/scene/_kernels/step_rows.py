@@ -70,6 +70,7 @@ class StepSystem(NamedTuple):
         inverse: (nv, nv) its inverse.
         softened: (nv,) what they add.
         tree: (nv,) number of the tree that each velocity belongs to.
+        start: (nv,) the first velocity of that tree.
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         bounces: (n + nl,) which contacts and limits have restitution.
         compliances: (n,) of all contacts.
@@ -79,6 +80,7 @@ class StepSystem(NamedTuple):
     inverse: FloatRows
     softened: Floats
     tree: Integers
+    start: Integers
     rests: Flags
     bounces: Flags
     compliances: Floats
