@@ -40,7 +40,7 @@ class Struck(NamedTuple):
     Attributes:
         source: Which contact or limit.
         place: In the problem of all.
-        resting: The bounce would have been slower than the resting speed, so restitution was left out.
+        resting: It bounces slower than the resting speed.
         contact_space: Makes its own problem and the impulse in world axes.
     """
 
@@ -69,7 +69,7 @@ class GroupImpact(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """The solution of an impact at many contacts, which of them rest, and the problem."""
+    """The solution of an impact at many contacts, which of them bounce slowly, and the problem."""
 
     solution: ManySolution
     resting: list[bool]

@@ -70,7 +70,8 @@ class ImpactRecord:
         source: Name of the contact or joint limit.
         q: (nq,) configuration.
         v_before, v_after: (nv,) velocities.
-        resting: Whether restitution was set to zero because the bounce was slower than the resting speed.
+        resting: Whether the bounce is slower than the resting speed, so that the contact can stay closed;
+            alone it is computed with a restitution of zero.
         simultaneous: Whether other impacts took place at the same instant.
         record: Whether the solution has a path.
         contact_space: Function that computes `problem` and `impulse_world`.

@@ -328,7 +328,7 @@ class SceneImpacts:
         numbers: tuple[Array, Array, Array, Array],
         e: Sequence[float],
     ) -> Solved:
-        """Solve an impact at many contacts; what bounces slower than the resting speed rests.
+        """Solve an impact at many contacts; modes let rest what bounces slower than the resting speed.
 
         Args:
             name: Of the policy.
@@ -341,20 +341,15 @@ class SceneImpacts:
         laws = {contact.law for contact in struck if contact is not None}
         law = laws.pop() if len(laws) == 1 else "energetic"
         policy = find_policy(name)
-        resting = [False] * len(struck)
-        while True:
-            restitution = np.array([0.0 if rests else one for rests, one in zip(resting, e, strict=True)])
-            # the robot's own numbers need no check
-            inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
-            solution = policy.run(inputs, False)
-            pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
-            more = [
-                0.0 < bounce < self._resting_speed and p > 0.0 and one > 0.0 and not rests
-                for bounce, p, one, rests in zip(bounces, pressed, e, resting, strict=True)
-            ]
-            if not any(more):
-                break
-            resting = [rests or slow for rests, slow in zip(resting, more, strict=True)]
+        restitution = np.array(e)
+        # the robot's own numbers need no check
+        inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
+        solution = policy.run(inputs, False)
+        pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
+        resting = [
+            0.0 < bounce < self._resting_speed and p > 0.0 and one > 0.0
+            for bounce, p, one in zip(bounces, pressed, e, strict=True)
+        ]
         problem = ImpactProblem(
             *(delassus, velocity, friction, restitution, law, surface), stiffness=stiffness
         )
@@ -368,10 +363,7 @@ class SceneImpacts:
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact, or of a limit, in an impact at many."""
-        approach = max(-rate, 0.0)
-        if self._sustained and approach <= self._resting_speed:
-            return 0.0
-        return self._limit_restitution if contact is None else contact.restitution_at(approach)
+        return self._limit_restitution if contact is None else contact.restitution_at(max(-rate, 0.0))
 
     def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
         """Return M⁻¹ with what is held and locked projected out."""

@@ -1,0 +1,41 @@
+"""A ball that strikes a row of balls at rest, in a scene."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Scene, Sphere, impact, simulate
+
+RADIUS = 0.1
+
+
+def row(stiffness):
+    """Return balls on a rail and the contacts between neighbours, of some stiffness each."""
+    model, here = pin.Model(), pin.SE3.Identity()
+    names = "abcd"[: len(stiffness) + 1]
+    for name in names:
+        joint = model.addJoint(0, pin.JointModelPX(), here, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, RADIUS), here)
+        model.addJointFrame(joint)
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
+    pairs = zip(names[:-1], names[1:], stiffness, strict=True)
+    elastic = {"radius": RADIUS, "restitution": 1.0, "law": "energetic"}
+    return model, [
+        Contact(b, Sphere(radius=RADIUS, body=a), name=a + b, stiffness=k, **elastic) for a, b, k in pairs
+    ]
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("stiffness", [(1.0, 1.0), (1.0, 1.0, 1.0), (1e8, 1e4, 1.0)])
+def test_balls_at_rest_restore_what_they_take_up(stiffness, scheme):
+    model, contacts = row(stiffness)
+    places = 2.0 * RADIUS * np.arange(model.nv)
+    v = np.eye(model.nv)[0]
+    start = places - 0.1 * v
+    run = simulate(Scene(model, contacts), start, v, 0.2, scheme=scheme)
+    after = run.impacts[-1].v_after
+    assert after.sum() == pytest.approx(1.0, abs=1e-12)
+    assert after @ after == pytest.approx(1.0, abs=1e-12)
+    assert after == pytest.approx(impact(model, model.createData(), places, v, contacts).v, abs=1e-9)
+    if stiffness[0] > 1.0:  # each pair has parted before the next one is pressed
+        assert after == pytest.approx(np.eye(model.nv)[-1], abs=1e-3)
