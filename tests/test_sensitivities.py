@@ -218,6 +218,18 @@ def test_a_panda_lands_slips_and_sticks(seed, friction):
     assert ("hand", "stick") in modes(run)
 
 
+def test_a_contact_out_of_reach_changes_nothing():
+    model, q, v, contact = panda(0)
+    far = Contact("panda_link1", Plane((0.0, 0.0, -9.0)), friction=0.3, name="far")
+    scene = Scene(model, [far, contact], **FREE)
+    run = simulate(scene, q, v, 0.1, sensitivities=["friction:far", "restitution:hand"])
+    found, alone = run.sensitivity(0.1), simulate(scene, q, v, 0.1, sensitivities=["restitution:hand"])
+    assert not found.parameters["friction:far"].any()
+    hand = found.parameters["restitution:hand"]
+    assert hand.any()
+    assert np.array_equal(hand, alone.sensitivity(0.1).parameters["restitution:hand"])
+
+
 def test_saltation_at_an_impact_that_stays_closed():
     # flight, impact, contact: Ξ between differences of the motion before and after
     model, q, v, contact = panda(0)

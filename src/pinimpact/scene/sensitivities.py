@@ -163,6 +163,9 @@ class MotionSlopes:
         parameters: Names of coefficients, see `parse`.
         tau: (nv,) a constant generalized force, by which the motion is differentiated too, or None.
         rtol: Relative tolerance of each interval.
+
+    Attributes:
+        parameters: The names of those that have columns: a contact out of reach of its surface has none.
     """
 
     def __init__(
@@ -176,7 +179,8 @@ class MotionSlopes:
     ) -> None:
         self._rtol = rtol
         labels = [contact.label for contact in dynamics.contacts]
-        split = [name.partition(":") for name in parameters]
+        self.parameters = [name for name in parameters if name.partition(":")[2] in labels]
+        split = [name.partition(":") for name in self.parameters]
         found = [Parameter(kind, labels.index(label)) for kind, _, label in split]
         nv = model.nv
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
@@ -473,6 +477,6 @@ class Sensitivities:
         """Return the sensitivity at a time in the step of a number."""
         x, boundary = self.changes(number, t)
         n = len(x)
-        given = [name for name in self._names if name != "state"]
-        by_each = {name: x[:, n + k].copy() for k, name in enumerate(given)}
+        by_each = {name: np.zeros(n) for name in self._names if name != "state"}
+        by_each |= {name: x[:, n + k].copy() for k, name in enumerate(self._slopes.parameters)}
         return Sensitivity(x[:, :n].copy() if "state" in self._names else None, by_each, boundary)
