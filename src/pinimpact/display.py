@@ -50,12 +50,12 @@ def short_repr(instance: Any) -> str:
     return f"{type(instance).__name__}({', '.join(changed_fields(instance))})"
 
 
-def in_a_line(values: ArrayLike, width: int = 70) -> str:
-    """Return an array as text with six digits, cut beyond `width` characters."""
+def in_a_line(values: ArrayLike) -> str:
+    """Return an array as text with six digits, cut beyond 70 characters."""
     digits = {"float_kind": lambda x: f"{x:.6g}"}
     text = np.array2string(np.asarray(values), separator=", ", threshold=12, formatter=digits)  # type: ignore[arg-type]
     text = " ".join(text.split())
-    return text if len(text) <= width else f"{text[: width - 1]}…"
+    return text if len(text) <= 70 else f"{text[:69]}…"
 
 
 def _same(value: Any, default: Any) -> bool:

@@ -7,6 +7,28 @@ from operator import index
 from typing import Any
 
 
+class Sentences(enum.IntFlag):
+    """Flags with a sentence each."""
+
+    sentence: str
+
+    def __new__(cls, value: int, sentence: str = "") -> Any:
+        """Take a member's value and its sentence."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.sentence = sentence
+        return member
+
+    @classmethod
+    def _missing_(cls, value: object) -> Any:
+        """Take NumPy's integers too, such as the rows of ``batch.flags``."""
+        return super()._missing_(index(value))  # type: ignore[arg-type]
+
+    def describe(self) -> tuple[str, ...]:
+        """Return the sentences of the flags that are set, in the order of their values."""
+        return tuple(flag.sentence for flag in type(self) if flag & self)
+
+
 class Status(enum.IntEnum):
     """The reason why an impact ended. ``str(status)`` is a sentence; arrays have the integer values."""
 
@@ -44,27 +66,22 @@ _SENTENCES = {
 }
 
 
-class Flag(enum.IntFlag):
+class Flag(Sentences):
     """Special events of an impact; ``str(flags)`` and ``describe()`` return sentences."""
 
     NONE = 0
-    JAM = 1
-    IMPACT_WITHOUT_COLLISION = 2
-    SECOND_COMPRESSION = 4
-    STICK = 8
-    SLIP_RESUMED = 16
-    LOCKED = 32
-    ENERGY_CREATED = 64
-    NEAR_JUMP = 128
-    NEAR_STICK_THRESHOLD = 256
-    SINGULAR_DELASSUS = 512
-    SLIP_TURNED = 1024
-    BOUND_REACHED = 2048
-
-    @classmethod
-    def _missing_(cls, value: object) -> Any:
-        """Take NumPy's integers too, such as the rows of ``batch.flags``."""
-        return super()._missing_(index(value))  # type: ignore[arg-type]
+    JAM = 1, "The normal acceleration was negative during slip (jam)."
+    IMPACT_WITHOUT_COLLISION = 2, "The contact did not approach; friction alone made the impact."
+    SECOND_COMPRESSION = 4, "The normal velocity fell back to zero and a second compression followed."
+    STICK = 8, "The contact came to stick."
+    SLIP_RESUMED = 16, "The slip stopped and resumed along the diverging invariant direction."
+    LOCKED = 32, "Stick locked the normal direction."
+    ENERGY_CREATED = 64, "The law created kinetic energy."
+    NEAR_JUMP = 128, "The impact map is discontinuous nearby: a small change of input may change the outcome."
+    NEAR_STICK_THRESHOLD = 256, "The friction coefficient is close to the threshold between stick and slip."
+    SINGULAR_DELASSUS = 512, "The Delassus matrix is singular."
+    SLIP_TURNED = 1024, "The direction of slip turned along the path."
+    BOUND_REACHED = 2048, "A bound on steps or events was reached, and the answer is approximate."
 
     def __str__(self) -> str:
         return " ".join(self.describe()) or "Nothing special."
@@ -76,25 +93,6 @@ class Flag(enum.IntFlag):
         """Return the names of the flags that are set, "STICK|JAM"; empty if none is."""
         return "|".join(flag.name or "" for flag in Flag if flag & self)
 
-    def describe(self) -> tuple[str, ...]:
-        """Return one sentence for each flag that is set, in the order of their values."""
-        return tuple(text for flag, text in _FLAG_TEXTS.items() if self & flag)
-
-
-_FLAG_TEXTS = {
-    Flag.JAM: "The normal acceleration was negative during slip (jam).",
-    Flag.IMPACT_WITHOUT_COLLISION: "The contact did not approach; friction alone made the impact.",
-    Flag.SECOND_COMPRESSION: "The normal velocity fell back to zero and a second compression followed.",
-    Flag.STICK: "The contact came to stick.",
-    Flag.SLIP_RESUMED: "The slip stopped and resumed along the diverging invariant direction.",
-    Flag.LOCKED: "Stick locked the normal direction.",
-    Flag.ENERGY_CREATED: "The law created kinetic energy.",
-    Flag.NEAR_JUMP: "The impact map is discontinuous nearby: a small change of input may change the outcome.",
-    Flag.NEAR_STICK_THRESHOLD: "The friction coefficient is close to the threshold between stick and slip.",
-    Flag.SINGULAR_DELASSUS: "The Delassus matrix is singular.",
-    Flag.SLIP_TURNED: "The direction of slip turned along the path.",
-    Flag.BOUND_REACHED: "A bound on steps or events was reached, and the answer is approximate.",
-}
 
 EFFECTS = (
     "friction",

@@ -28,7 +28,7 @@ from .._compile.jit import external, inlined
 from .loops import assign
 from .products import dot
 from .profile import apply_within, eliminate_profile
-from .tolerances import BALANCED, STALLED
+from .tolerances import STALLED, TINY
 
 ITERATIONS = 40
 """Largest number of iterations of (16.3)."""
@@ -227,7 +227,7 @@ def balance(problem, r, before, now):
                 largest = max(largest, abs(part))
     for a in range(len(out)):
         square += out[a] * out[a]
-    return math.sqrt(square) / max(largest, 1e-300)
+    return math.sqrt(square) / max(largest, TINY)
 
 
 @external
@@ -407,7 +407,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
     f = np.empty(n)
     now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m))
     assign(w, begin)
-    balanced = max(BALANCED, 0.1 * accuracy)
+    balanced = 0.1 * accuracy
     lowest, reached, finer, slow = math.inf, 1.0, False, 0
     for iteration in range(ITERATIONS):
         enough = max(balanced, INEXACT * reached)

@@ -16,7 +16,7 @@ from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign, ones
-from .tolerances import FALLS_BACK, ROUNDING, TINY
+from .tolerances import EXACT, FALLS_BACK, SOLVED, TINY
 
 CONE = np.int64(3)
 """Size of the cones of friction."""
@@ -163,7 +163,7 @@ def cholesky(matrix):
         largest = max(largest, whole[i])
     for k in range(n):
         pivot = matrix[k, k]
-        if not pivot > 1e-15 * n * whole[k]:
+        if not pivot > EXACT * n * whole[k]:
             pivot = 1e64 * largest  # what does not matter stays where it is
         root = math.sqrt(pivot)
         matrix[k, k] = root
@@ -381,7 +381,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     for _ in range(MAX_ITERATIONS):
         answer_signals()
         gap, missing = _residuals(P, c, G, h, x, s, z, rx, rz)
-        accuracy = max(gap, missing) if missing > ROUNDING else gap
+        accuracy = max(gap, missing) if missing > SOLVED else gap
         if accuracy < best:
             best = accuracy
             assign(best_x, x)

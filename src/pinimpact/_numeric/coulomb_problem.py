@@ -27,7 +27,7 @@ from .cone_program import cholesky, substitute
 from .least_norm import least_norm
 from .loops import assign, flags, repeated
 from .products import apply
-from .tolerances import ACCURATE, COMPLIANCE, EXACT, NEAR, PIVOT, POLISHED, SMALL
+from .tolerances import ACCURATE, COMPLIANCE, EXACT, NEAR, PIVOT, ROUNDOFF, SMALL
 from .tolerances import USABLE as USABLE  # for those who solve
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
@@ -325,9 +325,9 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
         softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
         softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
         for a in range(3 * i, 3 * i + 3):
-            d[a] = 1.0 / math.sqrt(max(softest, 1e-14 * largest))
+            d[a] = 1.0 / math.sqrt(max(softest, ROUNDOFF * largest))
     for a in range(3 * contacts, size):
-        d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
+        d[a] = 1.0 / math.sqrt(max(delassus[a, a], ROUNDOFF * largest))
     for a in range(size):
         unit = max(unit, abs(d[a] * free[a]))
     if unit > 0.0:
@@ -361,7 +361,7 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
         if now < best:
             best = now
             assign(x, trial)
-        if now <= POLISHED or not now < 10.0 * best:
+        if now <= ROUNDOFF or not now < 10.0 * best:
             break
     return best
 

@@ -27,30 +27,29 @@ def power(x, k):
 
 
 @inlined
+def filled(array, value):
+    """Set all elements of an array (n,) to a value, and return it."""
+    for i in range(len(array)):
+        array[i] = value
+    return array
+
+
+@inlined
 def ones(n):
     """Return (n,) ones."""
-    found = np.empty(n)
-    for i in range(n):
-        found[i] = 1.0
-    return found
+    return filled(np.empty(n), 1.0)
 
 
 @inlined
 def repeated(n, value):
     """Return (n,) times the same integer, one of NumPy's."""
-    found = np.empty(n, dtype=np.int64)
-    for i in range(n):
-        found[i] = value
-    return found
+    return filled(np.empty(n, dtype=np.int64), value)
 
 
 @inlined
 def flags(n, value):
     """Return (n,) times the same truth value."""
-    found = np.empty(n, dtype=np.bool_)
-    for i in range(n):
-        found[i] = value
-    return found
+    return filled(np.empty(n, dtype=np.bool_), value)
 
 
 @inlined

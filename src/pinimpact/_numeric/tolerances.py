@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
+EPS = 2.0**-52
+
 TINY = 1e-300
 """A divisor in the place of zero: what it divides is zero then, or as good as infinite."""
+
+ROUNDING = 1e-12
+"""Part of the largest of what belongs together (sizes, times, speeds, entries of a matrix) that is rounding:
+some thousands of roundings."""
+
+EXACT, ROUNDOFF = 1e-15, 1e-14
+"""The same of a few roundings, and of some fifty: a residual at which Newton's method does not start, and one
+at which it stops; the inverse inertia of a row that nothing moves."""
+
+HALF_DIGITS = 2.0**-26
+"""The same where numbers have been through what may cost half of their digits; its square is `EPS`."""
 
 # ---- pivots
 
@@ -25,9 +38,6 @@ NEAR = 1e-2
 ACCURATE, USABLE = 1e-11, 1e-10
 """Residuals of forces: one at which to stop, and one that is accepted if it does not decrease further."""
 
-POLISHED, EXACT = 1e-14, 1e-15
-"""A residual below which Newton's method stops, and one below which it does not start: rounding."""
-
 SMALL = 1e-5
 """A compliance that is small relative to the largest of W: extrapolation leaves an error of its square,
 10⁻¹⁰."""
@@ -37,9 +47,6 @@ SMALL = 1e-5
 SOFTEST = 3e-3
 """The largest r, relative to the largest of W: larger values take more iterations, smaller ones longer
 iterations."""
-
-BALANCED = 1e-11
-"""Residual of M w − Jᵀf after Newton's method, relative to the largest momentum."""
 
 SETTLED = 1e-9
 """Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
@@ -52,5 +59,5 @@ STALLED = 1e-5
 FALLS_BACK = 1e-6
 """Accuracy from which on an increase of the residual means that double precision is exhausted."""
 
-ROUNDING = 1e-13
+SOLVED = 1e-13
 """Residual of the equations, of order one, that is rounding."""

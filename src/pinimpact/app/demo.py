@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import EPS
 from ..checks import above_zero
 from ..errors import InputError, ModelError, SimulationError
 from ..geometry.plane import Plane
@@ -28,7 +29,6 @@ from .posture import FLAT, TILTS, Body, Strike, arm_posture, bent, landing, sole
 from .robot_info import frame_label, free_base, suggested_frames
 
 Array = NDArray[np.float64]
-EPS = float(np.finfo(float).eps)
 
 BEFORE, AFTER = 0.15, 0.25
 """Simulated time before and after the impact [s], for a robot of 1 m; less for smaller ones."""

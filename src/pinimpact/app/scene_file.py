@@ -17,6 +17,7 @@ from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface
 from ..robot.solids import Box, Shape
+from ..scene._kernels.tolerances import ATOL, DT, RTOL
 from .units import quantity
 
 if sys.version_info >= (3, 11):
@@ -246,16 +247,16 @@ class SceneFile(Table):
     [Impacts and rest](scenes.md#impacts-and-rest)."""
     without: list[str] = []
     """Effects to switch off, by name; see [Effects](effects.md)."""
-    rtol: Annotated[float, Field(gt=0.0)] = 1e-8
+    rtol: Annotated[float, Field(gt=0.0)] = RTOL
     """Relative tolerance of each step."""
-    atol: Annotated[float, Field(gt=0.0)] = 1e-10
+    atol: Annotated[float, Field(gt=0.0)] = ATOL
     """Absolute tolerance of each step [m, rad, m/s, rad/s]."""
     max_impacts: Annotated[int, Field(gt=0)] = 100_000
     """Largest number of instants with impacts."""
     scheme: str = "auto"
     """Scheme of the simulation: ``"event-driven"``, ``"time-stepping"`` or ``"auto"``; see
     [Time stepping](motions.md#time-stepping)."""
-    dt: Time = 1e-3
+    dt: Time = DT
     """Length of time steps; with ``"auto"`` the longest one."""
     output: OutputTable = OutputTable()
 

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from .._numeric.tolerances import ROUNDING
 from ..errors import InputError, LawError, PinimpactError
-from ._kernels.tolerances import DRIFT
+from ._kernels.tolerances import FOUND, MISSED
 from .many_inputs import ManyInputs, refuse, solution_of
 from .many_solution import ManySolution
 
@@ -41,7 +42,7 @@ def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
         further = impulses_together(w, between, mu, given, k, restitution)
         missed = max(missed, further)
     after = between + inputs.delassus @ restitution
-    rest = 1e-6 * float(np.abs(velocity).max(initial=0.0))
+    rest = MISSED * float(np.abs(velocity).max(initial=0.0))
     if (after[2::3] < -rest).any() or not np.isfinite(after).all():
         refuse(inputs)
     works = np.zeros((n, 3))
@@ -50,7 +51,7 @@ def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
         works[:, 0 if impulse is compression else 1] += powers[:, 2]
         works[:, 2] += powers[:, 0] + powers[:, 1]
     total = compression + restitution
-    notes = () if missed <= 1e-9 else (f"Coulomb's law is met only to {missed:.1e} of the velocities.",)
+    notes = () if missed <= FOUND else (f"Coulomb's law is met only to {missed:.1e} of the velocities.",)
     names, bounded = ("together", "poisson"), bool(notes)
     found = solution_of(inputs, names, after, total, works, (2, 2), notes=notes, bounded=bounded)
     return found, missed
@@ -75,7 +76,7 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
         )
     n = len(inputs.velocity)
     start = inputs.velocity.ravel()
-    rest = DRIFT * float(np.abs(start).max(initial=0.0))
+    rest = ROUNDING * float(np.abs(start).max(initial=0.0))
     plastic, elastic, part = np.zeros((3, 3 * n))
     none = np.zeros(n)
     impulses_together(inputs.delassus, start, none, none, inputs.stiffness, plastic)

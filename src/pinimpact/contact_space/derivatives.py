@@ -2,59 +2,35 @@
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
-from operator import index
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..status import Status
+from ..status import Sentences, Status
 from .inputs import FACTOR, Array, Inputs
 from .one_sided import fill_one_sided_of_problem
 
 
-class Boundary(enum.IntFlag):
+class Boundary(Sentences):
     """Where the derivatives of an impact have sides, or end; ``describe()`` gives a sentence for each flag.
 
     Columns that have no derivative hold NaN. (docs/derivatives.md, 6)
     """
 
     NONE = 0
-    START_AT_REST = 1
-    STICK_THRESHOLD = 2
-    EVENTS_COINCIDE = 4
-    JUMP = 8
-    GRAZING = 16
-    BOUND = 32
-    RANK = 64
-    CLOSED = 128
-    LAST_BOUNCE = 256
-    FEATURES_MEET = 512
-
-    @classmethod
-    def _missing_(cls, value: object) -> Any:
-        return super()._missing_(index(value))  # type: ignore[arg-type]
-
-    def describe(self) -> tuple[str, ...]:
-        """Return one sentence for each flag that is set."""
-        return tuple(text for flag, text in _TEXTS.items() if self & flag)
-
-
-_TEXTS = {
-    Boundary.START_AT_REST: "v_t° = 0 and slip begins: v⁺ has slopes along directions of v_t° only.",
-    Boundary.STICK_THRESHOLD: "The contact is at the threshold between stick and slip.",
-    Boundary.EVENTS_COINCIDE: "Events coincide, such as the end of slip and that of compression.",
-    Boundary.JUMP: "v⁺ jumps here, or nearly has a slope without bound.",
-    Boundary.GRAZING: "v₃° = 0: there is an impact on one side only.",
-    Boundary.BOUND: "μ = 0, e = 0 or e = 1: slopes by it are those into the range.",
-    Boundary.RANK: "W is singular: derivatives hold for changes that keep its rank.",
-    Boundary.CLOSED: "Contacts or limits are closed at the start: changes that open them are projected.",
-    Boundary.LAST_BOUNCE: "Bounces ended at the resting speed: those that would follow do not count.",
-    Boundary.FEATURES_MEET: "Shapes touch where a face ends, or corner on corner: the normal turns abruptly.",
-}
+    START_AT_REST = 1, "v_t° = 0 and slip begins: v⁺ has slopes along directions of v_t° only."
+    STICK_THRESHOLD = 2, "The contact is at the threshold between stick and slip."
+    EVENTS_COINCIDE = 4, "Events coincide, such as the end of slip and that of compression."
+    JUMP = 8, "v⁺ jumps here, or nearly has a slope without bound."
+    GRAZING = 16, "v₃° = 0: there is an impact on one side only."
+    BOUND = 32, "μ = 0, e = 0 or e = 1: slopes by it are those into the range."
+    RANK = 64, "W is singular: derivatives hold for changes that keep its rank."
+    CLOSED = 128, "Contacts or limits are closed at the start: changes that open them are projected."
+    LAST_BOUNCE = 256, "Bounces ended at the resting speed: those that would follow do not count."
+    FEATURES_MEET = 512, "Shapes touch where a face ends, or corner on corner: the normal turns abruptly."
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

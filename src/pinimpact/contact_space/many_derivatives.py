@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import ROUNDING
 from ..errors import PinimpactError
 from .derivatives import Boundary
 from .inputs import Array
@@ -28,9 +29,6 @@ second is 4⁻⁶ of that, or a third where the slope of P has a kink, and round
 
 AGREED = 1e-6
 """The same, and that of those to either side, beyond which there is no derivative."""
-
-AT_REST = 1e-12
-"""Part of the largest velocity below which one is zero, as is what impulses leave of it by rounding."""
 
 JUMPS = 1e-3
 """Part of the impulses by which they change over the shortest step where they jump."""
@@ -135,7 +133,7 @@ def _by_steps(solution: ManySolution) -> bool:
 
 def _reason(inputs: ManyInputs, change: Change, slope: _Slope) -> Boundary:
     """Return why there is no derivative along a change, as far as that is known."""
-    rest = AT_REST * float(np.abs(inputs.velocity).max(initial=0.0))
+    rest = ROUNDING * float(np.abs(inputs.velocity).max(initial=0.0))
     normal = np.abs(inputs.velocity[:, 2]) <= rest
     if change.velocity[normal, 2].any():
         return Boundary.GRAZING

@@ -10,13 +10,16 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from .._numeric.tolerances import ROUNDING
 from ..checks import counted, finite_array, in_short
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
-from ._kernels.tolerances import RESTS
 from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work
+
+RESTS = 1e-9
+"""Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
 
 Segments = tuple[tuple[Segment, ...], ...]
 
@@ -326,7 +329,7 @@ def flags_of(segments: Segments, energy: float, size: float, singular: bool) -> 
         phases = [part.phase for part in parts]
         if "restitution" in phases and "compression" in phases[phases.index("restitution") :]:
             flags |= Flag.SECOND_COMPRESSION
-    if energy > 1e-12 * size:
+    if energy > ROUNDING * size:
         flags |= Flag.ENERGY_CREATED
     if singular:
         flags |= Flag.SINGULAR_DELASSUS

@@ -94,12 +94,11 @@ def _load_exact() -> Run:
     return run
 
 
-def _checked_rtol(rtol: Any) -> float:
+def checked_rtol(rtol: Any, least: float) -> float:
     """Return `rtol` as a float, or raise `InputError`."""
-    if not isinstance(rtol, (int, float, np.floating)) or not 3e-14 <= float(rtol) <= 0.1:
-        raise InputError(
-            f"rtol: {in_short(rtol)} given, a number from 3e-14 to 0.1 expected", field="rtol", value=rtol
-        )
+    if not isinstance(rtol, (int, float, np.floating)) or not least <= float(rtol) <= 0.1:
+        expected = f"a number from {least:g} to 0.1 expected"
+        raise InputError(f"rtol: {in_short(rtol)} given, {expected}", field="rtol", value=rtol)
     return float(rtol)
 
 
@@ -136,6 +135,9 @@ def _load_rk4() -> Run:
     return run
 
 
+RTOL, LEAST_RTOL = 1e-8, 3e-14
+"""Relative tolerances of methods of chosen steps: the default, and the least, which rounding allows."""
+
 MOST_STEPS = 10**9
 FIRST_STEPS = 10
 """The adaptive method starts with this part of the scale of the compression."""
@@ -144,8 +146,8 @@ FIRST_STEPS = 10
 def _load_adaptive() -> Run:
     from ._kernels.butcher import DORMAND_PRINCE
 
-    def run(inputs: Inputs, trace: Array, path: Array, rtol: float = 1e-8) -> Raw:
-        return _step(inputs, DORMAND_PRINCE, FIRST_STEPS, _checked_rtol(rtol), trace, path)
+    def run(inputs: Inputs, trace: Array, path: Array, rtol: float = RTOL) -> Raw:
+        return _step(inputs, DORMAND_PRINCE, FIRST_STEPS, checked_rtol(rtol, LEAST_RTOL), trace, path)
 
     return run
 
@@ -153,8 +155,8 @@ def _load_adaptive() -> Run:
 def _load_solve_ivp() -> Run:
     from .scipy_baseline import solve_with_scipy
 
-    def run(inputs: Inputs, trace: Array, path: Array, rtol: float = 1e-8) -> Raw:
-        return solve_with_scipy(inputs, trace, path, _checked_rtol(rtol))
+    def run(inputs: Inputs, trace: Array, path: Array, rtol: float = RTOL) -> Raw:
+        return solve_with_scipy(inputs, trace, path, checked_rtol(rtol, LEAST_RTOL))
 
     return run
 
@@ -167,8 +169,8 @@ register_method(
     "rk4", Method(_load_rk4, "Runge–Kutta steps of order 4 in P₃, bisected at events", {"steps": 100})
 )
 register_method(
-    "adaptive", Method(_load_adaptive, "Dormand–Prince 5(4) in P₃ with chosen steps", {"rtol": 1e-8})
+    "adaptive", Method(_load_adaptive, "Dormand–Prince 5(4) in P₃ with chosen steps", {"rtol": RTOL})
 )
 register_method(
-    "solve_ivp", Method(_load_solve_ivp, "scipy's solve_ivp with events, for comparison only", {"rtol": 1e-8})
+    "solve_ivp", Method(_load_solve_ivp, "scipy's solve_ivp with events, for comparison only", {"rtol": RTOL})
 )

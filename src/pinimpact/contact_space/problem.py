@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import HALF_DIGITS
 from ..checks import at_least_zero, finite_array, float_array, real_number
 from ..display import short_repr
 from ..errors import InputError
-from ._kernels.tolerances import FITTING
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
 
@@ -81,7 +81,7 @@ def _factor(problem: ImpactProblem, upper: tuple[float, ...]) -> Array:
     given: Any = problem.factor
     X = finite_array("factor", given, (3, max(np.shape(given)[-1:] or (3,))))
     made = (X @ X.T)[np.triu_indices(3)]
-    if not np.abs(made - upper).max() <= FITTING * np.abs(upper).max():
+    if not np.abs(made - upper).max() <= HALF_DIGITS * np.abs(upper).max():
         raise InputError(
             f"factor: X Xᵀ = {made.tolist()} (upper triangle), which is not W; for a robot "
             "X = J L⁻¹ with M = LᵀL",

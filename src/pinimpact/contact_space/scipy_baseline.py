@@ -43,7 +43,9 @@ def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
     def direction(lam: float) -> Array:
         return np.asarray(np.linalg.lstsq(lam * np.eye(2) + mu * A, b, rcond=None)[0], dtype=np.float64)
 
-    lam = brentq(lambda x: np.linalg.norm(direction(x)) - 1.0, 0.0, np.linalg.norm(b), xtol=1e-15)
+    lam = brentq(
+        lambda x: np.linalg.norm(direction(x)) - 1.0, 0.0, np.linalg.norm(b), xtol=np.finfo(float).tiny
+    )
     sigma = direction(lam)
     return sigma / np.linalg.norm(sigma)
 
@@ -209,7 +211,7 @@ def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> 
     else:
         return _failed(Status.NOT_CONVERGED)
     v = motion.velocity(motion.y)
-    status = Status.SEPARATED if v[2] > 1e-12 * motion.size else Status.ENDED_AT_REST
+    status = Status.SEPARATED if v[2] > motion.rtol * motion.size else Status.ENDED_AT_REST
     numbers = *v, *motion.y[:3], motion.compressed[0], 0.0
     return (status, int(motion.flags), motion.calls, *numbers, rows, points)
 

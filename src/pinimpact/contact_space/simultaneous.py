@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from .._numeric.tolerances import ROUNDING
 from ..checks import choice
 from ..errors import (
     BoundReachedWarning,
     UnknownNameError,
 )
-from ._kernels.tolerances import DRIFT, MISSED
+from ._kernels.tolerances import MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import find_law
@@ -25,7 +26,7 @@ from .many_solution import ManySolution
 from .one_contact import solve_inputs
 from .problem import ImpactProblem
 from .solution import Segment
-from .waves import kernels_of_waves, propagate_waves
+from .waves import RTOL, kernels_of_waves, propagate_waves
 
 Run = Callable[..., ManySolution]
 
@@ -134,14 +135,14 @@ def _sequence(inputs: ManyInputs, record: bool) -> ManySolution:
 
 def _any(inputs: ManyInputs, record: bool, seed: int = 0) -> ManySolution:
     generator = np.random.default_rng(seed)
-    rest = DRIFT * float(np.abs(inputs.velocity).max(initial=0.0))
+    rest = ROUNDING * float(np.abs(inputs.velocity).max(initial=0.0))
     return _one_by_one(inputs, "any", lambda rates: int(generator.choice(np.flatnonzero(rates < -rest))))
 
 
 def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -> ManySolution:
     n = len(inputs.velocity)
     velocity, impulse, works = inputs.velocity.ravel().copy(), np.zeros(3 * n), np.zeros((n, 3))
-    rest = DRIFT * float(np.abs(velocity).max(initial=0.0))
+    rest = ROUNDING * float(np.abs(velocity).max(initial=0.0))
     segments: list[list[Segment]] = [[] for _ in range(n)]
     law, count, iterations = find_law(inputs.law).code, 0, 0
     last: list[str] = []
@@ -200,7 +201,7 @@ POLICIES: Mapping[str, Policy] = MappingProxyType(
             "the LZB model: impulses propagate through stiff contacts on an internal clock, with "
             "the energetic law; unique, symmetric, creates no energy; depends on ratios of "
             "stiffness",
-            {"exponent": 1.0, "rtol": 1e-16},
+            {"exponent": 1.0, "rtol": RTOL},
         ),
         "sequence": Policy(
             _sequence, tuple, "single impacts, the fastest contact first; depends on the order"

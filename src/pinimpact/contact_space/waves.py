@@ -16,14 +16,18 @@ from .at_once import solve_together
 from .inputs import Array
 from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
 from .many_solution import ManyPath, ManySolution, segments_of
+from .methods import checked_rtol
 from .problem import ZERO
+
+RTOL, LEAST_RTOL = 1e-16, 1e-17
+"""Relative accuracy of the series of a step: the default, and the least."""
 
 MOST_STEPS = 10_000
 """Steps from event to event, at most."""
 
 
 def propagate_waves(
-    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = 1e-16
+    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL
 ) -> ManySolution:
     """Follow the waves of an impact, with forces F ∝ δ^exponent and steps to a relative accuracy `rtol`."""
     from ._kernels.propagation import propagate
@@ -34,10 +38,7 @@ def propagate_waves(
             field="exponent",
             value=exponent,
         )
-    if not isinstance(rtol, (int, float)) or not 1e-17 <= rtol <= 0.1:
-        raise InputError(
-            f"rtol: {in_short(rtol)} given, a number from 1e-17 to 0.1 expected", field="rtol", value=rtol
-        )
+    rtol = checked_rtol(rtol, LEAST_RTOL)
     n = len(inputs.velocity)
     velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
     rows = np.empty((64 * n + 64, 5))

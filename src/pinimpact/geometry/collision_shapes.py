@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..checks import as_tuple, in_short, near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
-from .tolerances import FLAT
+from .tolerances import COINCIDE
 
 Array = NDArray[np.float64]
 
@@ -251,7 +251,7 @@ def extreme_points(points: Array, name: str) -> Array:
 
     points = np.unique(points, axis=0)
     _, sizes, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    rank = int(np.count_nonzero(sizes > FLAT * sizes[0])) if sizes[0] > 0.0 else 0
+    rank = int(np.count_nonzero(sizes > COINCIDE * sizes[0])) if sizes[0] > 0.0 else 0
     flat = points if rank == 3 else points @ axes[:rank].T
     if rank == 0:
         return points[:1]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import ROUNDING
 from .convex_shape import PlacedShape, cross
 from .tolerances import (
     CLOSE,
@@ -21,7 +22,6 @@ from .tolerances import (
     LOCAL,
     PARALLEL,
     TIE,
-    WITHIN,
 )
 
 Array = NDArray[np.float64]
@@ -223,7 +223,7 @@ def nearest_features(a: PlacedShape, b: PlacedShape, normal: Array, part: float)
     pairs whose closest points lie within both.
     """
     mask_a, mask_b = _foremost(a, normal, part), _foremost(b, -normal, part)
-    slack = WITHIN * (a.shape.reach + b.shape.reach)
+    slack = ROUNDING * (a.shape.reach + b.shape.reach)
     found = _on_faces(a, b, mask_a, mask_b, slack)
     found += [touch.mirrored for touch in _on_faces(b, a, mask_b, mask_a, slack)]
     edges_a = [m for m, edge in enumerate(a.shape.edges) if mask_a[edge].all()]

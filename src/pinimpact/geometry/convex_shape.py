@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .tolerances import FLAT, NOT_CONVEX, SAME_DIRECTION
+from .tolerances import COINCIDE, NOT_CONVEX, SAME_DIRECTION
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -251,7 +251,7 @@ def _coplanar(normals: Array) -> list[Integers]:
     """Return groups of facets with one normal, which lie in one plane for a convex body has one such face."""
     groups, left = [], np.arange(len(normals))
     while len(left):
-        same = np.linalg.norm(normals[left] - normals[left[0]], axis=1) < FLAT
+        same = np.linalg.norm(normals[left] - normals[left[0]], axis=1) < COINCIDE
         groups.append(left[same])
         left = left[~same]
     return groups

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import ROUNDING
 from .convex_pair import gap, touches
 from .convex_shape import PlacedShape, cross
-from .tolerances import ALONGSIDE, COINCIDE, FACE, NEAREST
+from .tolerances import COINCIDE, FACE, NEAREST
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array]:
     u, w, r = first[1] - first[0], second[1] - second[0], first[0] - second[0]
     uu, uw, ww, ur, wr = u @ u, u @ w, w @ w, u @ r, w @ r
     determinant = uu * ww - uw * uw
-    s = min(max((uw * wr - ww * ur) / determinant, 0.0), 1.0) if determinant > ALONGSIDE * uu * ww else 0.5
+    s = min(max((uw * wr - ww * ur) / determinant, 0.0), 1.0) if determinant > ROUNDING * uu * ww else 0.5
     t = min(max((uw * s + wr) / ww, 0.0), 1.0)
     s = min(max((uw * t - ur) / uu, 0.0), 1.0)
     return first[0] + s * u, second[0] + t * w

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import ROUNDING
 from ._kernels.constants import PLANE
 from .surfaces import Surface, Vector, unit_vector, vector
-from .tolerances import WITHIN
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,6 +58,6 @@ class Plane(Surface):
         rise = float(np.dot(self.normal, self.velocity))
         tilt = float(np.linalg.norm(np.cross(self.normal, self.angular_velocity)))
         speed, spin = np.linalg.norm(self.velocity), np.linalg.norm(self.angular_velocity)
-        if abs(rise) <= WITHIN * speed and tilt <= WITHIN * spin:
+        if abs(rise) <= ROUNDING * speed and tilt <= ROUNDING * spin:
             return None
         return f"moves along its normal at {rise:.6g} m/s or tilts at {tilt:.6g} rad/s"

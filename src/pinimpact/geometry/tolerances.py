@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-GJK = 1e-12
-"""Tolerance of coal's distance: a hundredth of `COAL_ERROR`."""
+from .._numeric.tolerances import EPS, ROUNDING
 
 COAL_ERROR = 1e-10
 """Largest error of coal's distance, which makes boxes larger."""
+
+GJK = COAL_ERROR / 100.0
+"""Tolerance of coal's distance."""
 
 CLOSE = 1e-6
 """Gap below which coal's distance is replaced by one that is exact to rounding; far above `COAL_ERROR`."""
@@ -16,23 +18,17 @@ LOCAL = 1e-5
 
 COINCIDE = 1e-9
 """Distance below which points coincide: points of contact, corners of a patch, and shapes that touch, whose
-edges are all tried."""
-
-WITHIN = 1e-12
-"""Rounding of some operations: of the distance of a point beyond the sides of a face, and of the velocity
-of a plane's material along its normal."""
+edges are all tried; points that are this close to a plane or a line lie in it, and normals of facets of one
+face differ by less."""
 
 TIE = 1e-13
 """Tolerance for equal separations; faces then precede edges."""
 
-NEAREST = 4e-12
+NEAREST = 4.0 * ROUNDING
 """Tolerance for equally close points, and for features that touch together."""
 
 PARALLEL = 1e-9
 """Sine of the angle below which two edges do not determine a normal."""
-
-ALONGSIDE = 1e-12
-"""Squared sine of the angle between edges below which they are parallel: four digits of a determinant."""
 
 FACE = 1.0 - 1e-6
 """Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4e-3 rad,
@@ -41,12 +37,8 @@ wide enough for normals that GJK finds, and far below the angle between two face
 FACING = 0.9
 """Cosine of the angle within which a face faces a direction."""
 
-SAME_DIRECTION = 1.0 - 1e-15
+SAME_DIRECTION = 1.0 - 4.0 * EPS
 """Cosine of the angle between edges above which they are parallel: rounding."""
-
-FLAT = 1e-9
-"""Extent of points across a plane or a line, relative to the largest, below which they lie in it; and by how
-much normals of facets of one face differ."""
 
 NOT_CONVEX = 1e-3
 """Depth of a vertex of a mesh inside its hull from which on the mesh is not convex."""

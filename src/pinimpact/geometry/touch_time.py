@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape, cross
-from .tolerances import COINCIDE, FAR, FLAT
+from .tolerances import COINCIDE, FAR
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def _goes_with(state: PairState, value: float, normal: Array) -> Array:
         foremost = foremost - foremost.mean(axis=0)
         arms.append(foremost - np.outer(foremost @ normal, normal))
         uneven.append(foremost @ cross(normal, velocity[3:]))
-    turn = -np.linalg.lstsq(np.concatenate(arms), np.concatenate(uneven), rcond=FLAT)[0]
+    turn = -np.linalg.lstsq(np.concatenate(arms), np.concatenate(uneven), rcond=COINCIDE)[0]
     return np.asarray(turn - (turn @ normal) * normal)
 
 

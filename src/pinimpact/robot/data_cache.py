@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .._numeric.tolerances import HALF_DIGITS
 from ..checks import finite_array
 from ..errors import InputError
 from ._kernels.robot_workspace import RobotWorkspace
@@ -16,7 +17,6 @@ from .forest import Forest
 from .joint_limits import slack_bounds, warn_of_limits
 from .names import frame_id, motion_signs
 from .pinocchio_bridge import flaw
-from .tolerances import NORMALIZED
 from .tree_numbers import UNALIGNED, Tree, tree_of
 
 
@@ -191,10 +191,10 @@ def checked_configuration(cache: DataCache, model: pin.Model, q: Any) -> np.ndar
 
     Raises:
         InputError: Wrong length, not finite, or a quaternion or (cos, sin) pair that is not of unit length
-            to within 1e-8.
+            to half of the digits.
     """
     q = finite_array("q", q, cache.q_shape)
-    if cache.curved and not pin.isNormalized(model, q, NORMALIZED):
+    if cache.curved and not pin.isNormalized(model, q, HALF_DIGITS):
         raise not_normalized(q)
     return q
 

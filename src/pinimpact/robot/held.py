@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import ROUNDING
 from ..errors import InputError
 from .contact import Contact
 from .placed_robot import ContactGeometry
-from .tolerances import HELD_TOLERANCE, PULL
+from .tolerances import HELD_TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ def pull(geometry: ContactGeometry, push: Array, impulse: Array) -> float:
         impulse: That of the impact, of any shape.
     """
     found = -float(geometry.axes[2] @ push)
-    return found if found > PULL * float(np.linalg.norm(impulse)) else 0.0
+    return found if found > ROUNDING * float(np.linalg.norm(impulse)) else 0.0
 
 
 def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:
@@ -58,16 +59,14 @@ def warn_of_pulls(
     held: Sequence[Contact],
     impulses: Array,
     impulse: Array,
-    stacklevel: int,
 ) -> None:
-    """Warn of held contacts that pull on their surfaces.
+    """Warn of held contacts that pull on their surfaces, where the caller of `impact` stands.
 
     Args:
         geometries: Geometry of the held contacts.
         held: The held contacts.
         impulses: (k, 3) on the robot at them, in world axes.
         impulse: Impulse of the impact, of any shape.
-        stacklevel: As in `warnings.warn`, seen from the caller.
     """
     for anchor, geometry, push in zip(held, geometries, impulses, strict=True):
         needed = pull(geometry, push, impulse)
@@ -76,5 +75,5 @@ def warn_of_pulls(
                 f"held: {anchor.label!r} pulls on its surface with {needed:.3g} N s; if it can lift "
                 "off, remove it from held",
                 HeldContactWarning,
-                stacklevel=stacklevel + 1,
+                stacklevel=5,
             )

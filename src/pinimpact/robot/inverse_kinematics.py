@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from .._numeric.tolerances import HALF_DIGITS, RANK, ROUNDING
 from ..checks import as_tuple
 from ..errors import InputError
 from .contact import Contact, check_contact
@@ -16,7 +17,6 @@ from .data_cache import checked_configuration, data_cache
 from .joint_limits import bounds, degrees_hint
 from .matrices import contact_geometry
 from .names import model_of
-from .tolerances import LEAST_RANGE, REDUNDANT, SETTLED, TOUCHING
 
 Array = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ class _Search:
         for _ in range(MAX_STEPS):
             gaps, rows, _ = self._gaps(found.x)
             step = self._least_norm(rows, rows @ found.x - gaps, 0.0) - found.x
-            if float(np.abs(step).max()) <= SETTLED:
+            if float(np.abs(step).max()) <= HALF_DIGITS:
                 break
             part, distance = 1.0, float(np.linalg.norm(found.x))
             while part >= SHORTEST_PART:
@@ -163,7 +163,7 @@ class _Search:
             lambda x: self._gaps(x)[0],
             np.clip(x, self._lower, self._upper),
             lambda x: self._gaps(x)[1],
-            bounds=(self._lower, np.maximum(self._upper, self._lower + LEAST_RANGE)),
+            bounds=(self._lower, np.maximum(self._upper, np.nextafter(self._lower, np.inf))),
         ).x
         return found
 
@@ -172,7 +172,7 @@ class _Search:
         gaps, rows, size = self._gaps(x)
         for _ in range(MAX_STEPS):
             worst = float(np.abs(gaps).max())
-            if worst <= TOUCHING * size:
+            if worst <= ROUNDING * size:
                 break
             step = self._least_norm(rows, rows @ x - gaps, x) - x
             step /= max(1.0, float(np.max(np.abs(step) / self._longest)))
@@ -188,7 +188,7 @@ class _Search:
             x, (gaps, rows, size) = trial, there
         i = int(np.argmax(np.abs(gaps)))
         gap = float(abs(gaps[i]))
-        return _Found(x, gap, self._contacts[i], gap <= 10.0 * TOUCHING * size)
+        return _Found(x, gap, self._contacts[i], gap <= 10.0 * ROUNDING * size)
 
     def _gaps(self, x: Array) -> tuple[Array, Array, float]:
         """Return gaps (n,), their derivative with respect to x (n, nv), and the size for rounding [m]."""
@@ -206,7 +206,7 @@ class _Search:
         for _ in range(len(x)):
             start = (centre + np.zeros(len(x)))[free]
             rest = wanted - rows[:, ~free] @ x[~free] - rows[:, free] @ start
-            x[free] = start + np.linalg.lstsq(rows[:, free], rest, rcond=REDUNDANT)[0]
+            x[free] = start + np.linalg.lstsq(rows[:, free], rest, rcond=RANK)[0]
             beyond = (x < self._lower) | (x > self._upper)
             if not beyond.any():
                 break

@@ -101,7 +101,7 @@ def impact_at_many(
     solution = solve_impact(problem, record=asked.record, simultaneous=policy, **asked.more)
     impulse = solution.impulse.ravel()
     held_impulses = matrices.held_response @ impulse
-    warn_of_pulls(matrices.held, held, held_impulses, impulse, 4)
+    warn_of_pulls(matrices.held, held, held_impulses, impulse)
     return ManyHit(
         v + matrices.response @ impulse,
         np.einsum("ni,nij->nj", solution.impulse, matrices.axes),

@@ -30,13 +30,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import RANK
 from ..errors import ModelError
 from ._kernels import tree
 from ._kernels.free_bodies import BODY as BODIES
 from ._kernels.free_bodies import accelerate_bodies, move_bodies
 from .forest import Forest, data_of, parts_of
 from .names import singular_mass
-from .tolerances import AGREEMENT, CLEARLY_POSITIVE
+from .tolerances import AGREEMENT
 
 Array = NDArray[np.float64]
 _WORLD = pin.Convention.WORLD
@@ -75,7 +76,7 @@ def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     mass = pin.crba(model, data, q)
     with contextlib.suppress(np.linalg.LinAlgError):  # mostly clear, without a kernel
         pivots = np.diag(np.linalg.cholesky(mass[::-1, ::-1]))[::-1] ** 2
-        if (pivots > CLEARLY_POSITIVE * np.diag(mass)).all():
+        if (pivots > RANK * np.diag(mass)).all():
             return
     parents = np.array(data.parents_fromRow, dtype=np.int64)
     stopped = tree.factor(mass, parents, np.zeros_like(mass))

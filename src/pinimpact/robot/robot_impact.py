@@ -349,7 +349,7 @@ def _impact_in_steps(
     )
     solution = solve_impact(problem, method=asked.method, record=asked.record, **asked.more)
     held_impulses = matrices.held_response @ solution.impulse
-    warn_of_pulls(matrices.held, held, held_impulses, solution.impulse, 4)
+    warn_of_pulls(matrices.held, held, held_impulses, solution.impulse)
     numbers = np.concatenate(
         [
             v + matrices.response @ solution.impulse,

@@ -9,10 +9,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from .._numeric.tolerances import ROUNDING
 from ..errors import InputError
+from ..geometry.tolerances import NEAREST
 from .contact import Contact
 from .placed_robot import PlacedRobot
-from .tolerances import FLAT, TIE
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) ->
     found = [placed.locate(tip) for tip in tips]
     gaps = np.array([gap for gap, _, _ in found])
     largest = max(float(np.abs(point).max()) for _, _, point in found)
-    return [tips[k] for k in np.flatnonzero(gaps <= gaps.min() + TIE * (1.0 + largest))]
+    return [tips[k] for k in np.flatnonzero(gaps <= gaps.min() + NEAREST * (1.0 + largest))]
 
 
 def check_rims(placed: PlacedRobot, contacts: Iterable[Contact]) -> None:
@@ -40,7 +41,7 @@ def check_rims(placed: PlacedRobot, contacts: Iterable[Contact]) -> None:
         InputError: A rim lies flat; the message has the contact.
     """
     for contact in contacts:
-        if contact.rim > 0.0 and float(np.linalg.norm(tilt_of_rim(placed, contact))) <= FLAT:
+        if contact.rim > 0.0 and float(np.linalg.norm(tilt_of_rim(placed, contact))) <= ROUNDING:
             raise InputError(f"contact: {flat_rim(contact)}", field="contact", value=contact)
 
 

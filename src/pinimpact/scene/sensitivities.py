@@ -14,11 +14,11 @@ from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from .._numeric.tolerances import RANK
+from .._numeric.tolerances import RANK, ROUNDOFF
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
-from ._kernels.contact_forces import RIGID, SLIP, STICK
+from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.variations import changes_at_end, stage_equations
 from .control_slopes import HeldForces, forces_by_state, jacobian_of
 from .controls import JointPD
@@ -285,7 +285,7 @@ def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> 
         nodes: The slopes at the nodes.
     """
     moved = matrix.diagonal()
-    if nodes.unique and moved.min() > RIGID * moved.max():
+    if nodes.unique and moved.min() > ROUNDOFF * moved.max():
         return np.asarray(np.linalg.solve(matrix, velocities))
     (stages, nv, m), size = nodes.response.shape, len(matrix)
     shares = np.zeros((stages, m, stages, m))

@@ -14,7 +14,8 @@ from ..errors import InputError
 from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
-from ._kernels.tolerances import HELD_GAP, HELD_SPEED, START_ROUNDING, STEPS_SLACK, STEPS_TOUCH
+from ..robot.tolerances import HELD_TOLERANCE
+from ._kernels.tolerances import HELD_GAP, START_ROUNDING, STEPS_SLACK, STEPS_TOUCH
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
 
@@ -115,7 +116,7 @@ def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: 
     dynamics.hold_at(np.where(np.arange(len(gaps)) < held.start, 0.0, gaps))
     velocities = dynamics.free_motion_at(state.t, state.q, state.v, held).velocity
     for i, speed in zip(held, np.linalg.norm(velocities, axis=1).tolist(), strict=True):
-        if speed > HELD_SPEED * (1.0 + float(np.abs(state.v).max(initial=0.0))):
+        if speed > HELD_TOLERANCE * (1.0 + float(np.abs(state.v).max(initial=0.0))):
             raise InputError(
                 f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} "
                 "m/s relative to its surface; start with it at rest there, or remove it from "

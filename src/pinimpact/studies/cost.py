@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..contact_space.laws import law_code
-from ..contact_space.methods import METHODS
+from ..contact_space.methods import LEAST_RTOL, METHODS
 from ..contact_space.problem import ImpactProblem, delassus_upper
 from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
@@ -30,7 +30,7 @@ SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
 }
 """Settings of each method; a method without an entry is measured with its defaults."""
 
-TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": 3e-14}
+TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": LEAST_RTOL}
 """Reference of "exact"; that of every other method is "exact"."""
 
 STYLES: dict[str, dict[str, Any]] = {

@@ -12,6 +12,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc, t
 
 from .. import checks
+from .._numeric.tolerances import HALF_DIGITS
 from ..checks import choice, finite_array, in_short, real_numbers
 from ..errors import InputError
 
@@ -347,22 +348,22 @@ def checked_bounds(
 def symmetric(matrices: Array) -> bool:
     """Whether matrices (…, m, m) are symmetric to half of their digits; sums in another order are."""
     skew = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max(axis=(-1, -2))
-    return bool((skew <= np.sqrt(np.finfo(float).eps) * np.abs(matrices).max(axis=(-1, -2))).all())
+    return bool((skew <= HALF_DIGITS * np.abs(matrices).max(axis=(-1, -2))).all())
 
 
-def whitener(field: str, covariance: ArrayLike, count: int, size: int) -> Array:
+def whitener(covariance: ArrayLike, count: int, size: int) -> Array:
     """Return L⁻¹ (n, m, m) with L Lᵀ the covariance of each row, or raise `InputError`."""
-    given = real_numbers(field, covariance)
+    given = real_numbers("covariance", covariance)
     matrices = np.broadcast_to(given, (count, size, size)) if given.shape == (size, size) else given
-    matrices = finite_array(field, matrices, (count, size, size))
+    matrices = finite_array("covariance", matrices, (count, size, size))
     try:
         if not symmetric(matrices):
             raise np.linalg.LinAlgError
         lower = np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"{field}: a matrix is not a covariance; symmetric and positive definite ones are expected",
-            field=field,
+            "covariance: a matrix is not a covariance; symmetric and positive definite ones are expected",
+            field="covariance",
             value=covariance,
         ) from None
     return np.linalg.inv(lower)

@@ -333,7 +333,7 @@ def _of_arrays(
                     value=fixed,
                 )
             row[:] = coefficient(name, fixed[name]) if name == "restitution" else fixed[name]
-    weights = _energy_root(W) if covariance is None else whitener("covariance", covariance, count, 3) @ W
+    weights = _energy_root(W) if covariance is None else whitener(covariance, count, 3) @ W
     target = _targets(weights, W, after - before)
     return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law)
 
@@ -357,7 +357,7 @@ def _of_robot(
     change = found.v_after - found.v_before
     root = None
     if covariance is not None:
-        root = whitener("covariance", covariance, len(found), scene.model.nv)
+        root = whitener(covariance, len(found), scene.model.nv)
     elif stiff:
         root = _energy_root(np.array([one.mass for one in all_of]))
     if root is None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import HALF_DIGITS
 from ..status import Flag, Status
 
 Array = NDArray[np.float64]
@@ -23,10 +24,6 @@ HALVINGS = 50
 
 ROUNDING = 32.0 * np.finfo(float).eps
 """Of an eigenvalue of W over the largest, within which it is zero."""
-
-OUTSIDE = float(np.sqrt(np.finfo(float).eps))
-"""Part of a velocity outside the range of a singular W that is rounding: half of the digits; the
-others cancel at some robots."""
 
 
 class OneStepSlopes(NamedTuple):
@@ -120,7 +117,7 @@ def solve_one_step(W: Array, velocity: Array, mu: Array, e: Array, model: str) -
     impulse[hits] = -np.einsum("nij,nj->ni", inverse, c)[hits]
     slides = hits & (
         (np.hypot(impulse[:, 0], impulse[:, 1]) > mu * impulse[:, 2])
-        | (missing > OUTSIDE * np.abs(parts).max(axis=1))
+        | (missing > HALF_DIGITS * np.abs(parts).max(axis=1))
     )
     sticks = hits & ~slides
     slopes.dP_drestitution[sticks] = -(inverse[:, :, 2] * velocity[:, 2:])[sticks]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import EPS, HALF_DIGITS
 from ..contact_space.many_solution import ManyPath, ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Path, Solution
@@ -62,11 +63,12 @@ def invariant_directions(problem: ImpactProblem) -> Array:
     first = 0.5 * (b2 + 1j * b1)
     second = -0.5 * mu * (w[0, 1] - 0.5j * (w[1, 1] - w[0, 0]))
     scale = max(abs(first), abs(second))
-    if scale <= 1e-14 * np.abs(w[:2]).max() * max(mu, 1.0):
+    if scale <= 64.0 * EPS * np.abs(w[:2]).max() * max(mu, 1.0):
         return np.empty(0)
     coefficients = np.array([second, first, 0.0, np.conj(first), np.conj(second)]) / scale
-    if abs(coefficients[0]) < 1e-14:
+    if abs(coefficients[0]) < 64.0 * EPS:
         coefficients = coefficients[1:-1]
     roots = np.roots(coefficients)
-    angles = np.angle(roots[np.abs(np.abs(roots) - 1.0) < 1e-6])
+    # of a double root half of the digits are right
+    angles = np.angle(roots[np.abs(np.abs(roots) - 1.0) < 64.0 * HALF_DIGITS])
     return np.unique(np.round(angles, 9))

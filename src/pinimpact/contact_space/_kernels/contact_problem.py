@@ -12,6 +12,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import always_inlined_bitcode, inlined
+from ..._numeric.tolerances import TINY
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
     IMPULSE,
@@ -225,7 +226,7 @@ def _in_range(rank, s, a11, a12, a22, v1, v2, tiny, doubtful):
 def norm(x, y):
     """Return √(x² + y²); the slower function of the library only where squares would vanish."""
     square = x * x + y * y
-    return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
+    return math.sqrt(square) if square > TINY else math.hypot(x, y)
 
 
 @inlined

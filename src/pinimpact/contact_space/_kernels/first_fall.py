@@ -6,7 +6,8 @@ import math
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
-from .tolerances import NOISE, POINT
+from ..._numeric.tolerances import EXACT
+from .tolerances import NOISE
 
 NEVER = math.inf
 
@@ -101,7 +102,7 @@ def first_fall(c, degree, h, zero, rows):
                 rest[j] = right[j]
         elif changes == 1 and left[n] < 0.0:
             return h * _bisect(power, n, start, start + width)
-        elif width < POINT:
+        elif width < EXACT:
             return h * start
         else:
             part *= 0.5

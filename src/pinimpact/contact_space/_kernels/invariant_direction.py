@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 
 from ..._compile.jit import inlined
+from ..._numeric.tolerances import TINY
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_frame, polynomials
-from .tolerances import ROOT, VANISHES
+from .tolerances import ROOT
 
 NEARBY = 0.3
 """Influence of the other roots of p up to which a series goes around one. (4.1)"""
@@ -88,7 +89,7 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
         new = (c0 * share) * g0 + ((c1 * share) * g1 + (c2 * share) * g2)
-        if abs(new) < VANISHES:
+        if abs(new) < TINY:
             new = 0.0
         c0 -= q1
         c1 -= q2

@@ -9,8 +9,8 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.coulomb_problem import solve_compliant
 from ..._numeric.loops import flags, repeated
-from ..._numeric.tolerances import TINY
-from .tolerances import FOUND, MISSED, OPTIMAL, ROUNDED
+from ..._numeric.tolerances import ROUNDOFF, TINY
+from .tolerances import FOUND, MISSED, OPTIMAL
 
 SWEEPS = 100
 """How often approaches at rest are taken away at most."""
@@ -103,7 +103,7 @@ def come_to_rest(system, state, works):
     for _ in range(SWEEPS):
         approaches = False
         for z in range(2, len(v), 3):
-            if v[z] < -ROUNDED and w[z, z] > 0.0:
+            if v[z] < -ROUNDOFF and w[z, z] > 0.0:
                 approaches = True
                 push = -v[z] / w[z, z]
                 works[z // 3, 0] += 0.5 * v[z] * push

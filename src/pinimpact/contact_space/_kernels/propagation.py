@@ -11,11 +11,10 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from ..._numeric.tolerances import TINY
+from ..._numeric.tolerances import ROUNDING, TINY
 from .propagation_course import follow
 from .propagation_series import ORDER, new_series
 from .propagation_state import System, new_state
-from .tolerances import DRIFT
 
 
 @declared(
@@ -83,7 +82,7 @@ def propagate(
             made[i] += own_w[i, k] * p[k]
         missed = max(missed, abs(u[i] - made[i]))
         stopped = stopped and math.isfinite(u[i]) and math.isfinite(p[i])
-    if missed > DRIFT:  # what has been set to zero at many events adds up
+    if missed > ROUNDING:  # what has been set to zero at many events adds up
         u = made
     strongest = outside = 0.0
     for j in range(n):

@@ -11,6 +11,7 @@ from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import repeated
+from ..._numeric.tolerances import ROUNDOFF
 from .codes import (
     HELD,
     NONE_YET,
@@ -24,7 +25,7 @@ from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
 from .propagation_state import TIED, State, System, begins, close, loads, open_contact, stored
-from .tolerances import AGREE, NEGLIGIBLE, ROUNDED, SAME, SEEN, SLIP_SPEED, SLOW
+from .tolerances import AGREE, NEGLIGIBLE, SAME, SEEN, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
 """Order of the series that tells the pace of slips."""
@@ -62,10 +63,10 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
     plastic = not system.unloading.any()
     latest = repeated(n, NO_ROW)
     for j in range(n):
-        if v[3 * j + 2] <= ROUNDED:
+        if v[3 * j + 2] <= ROUNDOFF:
             if w[3 * j + 2, 3 * j + 2] > 0.0:
                 close(system, state, j)
-            elif v[3 * j + 2] < -ROUNDED:
+            elif v[3 * j + 2] < -ROUNDOFF:
                 return False
     clock, at_once = 0.0, 0
     left, ends, apart = np.zeros(3 * n), np.zeros(3 * n), math.inf
@@ -189,7 +190,7 @@ def _fly(system, state, time):
     """Let all contacts, which are open, move on for a time, at whose end the first of them close."""
     for j in range(len(state.normal)):
         state.indentation[j] -= time * state.v[3 * j + 2]
-        if state.indentation[j] >= -ROUNDED and state.v[3 * j + 2] < -ROUNDED:
+        if state.indentation[j] >= -ROUNDOFF and state.v[3 * j + 2] < -ROUNDOFF:
             close(system, state, j)
 
 
@@ -277,7 +278,7 @@ def _loaded(state):
     """Return whether any contact is pressed or approaches; where none is, open those at rest."""
     n = len(state.normal)
     for j in range(n):
-        if loads(state.normal[j]) and (state.indentation[j] > ROUNDED or state.v[3 * j + 2] < -ROUNDED):
+        if loads(state.normal[j]) and (state.indentation[j] > ROUNDOFF or state.v[3 * j + 2] < -ROUNDOFF):
             return True
     for j in range(n):
         if state.normal[j] != OPEN:
@@ -293,7 +294,7 @@ def _at_rest(series, state):
             return False
     for k in range(1, ORDER + 1):
         for i in range(series.v.shape[1]):
-            if abs(series.v[k, i]) > ROUNDED:
+            if abs(series.v[k, i]) > ROUNDOFF:
                 return False
     return True
 
@@ -327,7 +328,7 @@ def _next_closing(state):
     time = NEVER
     for j in range(len(state.normal)):
         v3 = state.v[3 * j + 2]
-        if v3 < -ROUNDED:
+        if v3 < -ROUNDOFF:
             time = min(time, state.indentation[j] / v3)
     return time
 

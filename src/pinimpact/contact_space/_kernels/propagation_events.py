@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 from ..._compile.jit import inlined
+from ..._numeric.tolerances import ROUNDOFF
 from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
 from .propagation_series import ORDER, SHORT
 from .propagation_state import AT_BOUND, TIED, begins, close, open_contact, stick
-from .tolerances import NEGLIGIBLE, ROUNDED, SAME, SLIP_SPEED, SLOW, STOPS
+from .tolerances import NEGLIGIBLE, SAME, SLIP_SPEED, SLOW, STOPS
 
 REACH = 20.0
 """Steps within which a slip that runs straight at zero is there."""
@@ -48,12 +49,12 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[k] = series.v[k, z]
             else:
                 guard[k] = -series.v[k, z]
-        roots[j, 0] = _fall(guard, reach, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
+        roots[j, 0] = _fall(guard, reach, ROUNDOFF * strongest if mode == HELD else ROUNDOFF, crowded, work)
         if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
             for k in range(ORDER):
                 guard[k] = (k + 1.0) * series.force[k + 1, z]
             guard[ORDER] = 0.0
-            top = _fall(guard, reach, ROUNDED * strongest, crowded, work)
+            top = _fall(guard, reach, ROUNDOFF * strongest, crowded, work)
             cap = system.stiffness[j] * state.deepest[j] ** system.exponent
             highest = value_at(series.force, z, ORDER, top) if top < roots[j, 0] else 0.0
             if highest + state.ringing[j] * system.exponent > cap * (1.0 + NEGLIGIBLE):
@@ -68,7 +69,9 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[0] += state.deepest[j]
             elif mode == HELD:
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
-            roots[j, 1] = _fall(guard, reach, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
+            roots[j, 1] = _fall(
+                guard, reach, ROUNDOFF * strongest if mode == HELD else ROUNDOFF, crowded, work
+            )
         if state.tangent[j] == STUCK:
             square = system.friction[j] * system.friction[j]
             for k in range(ORDER + 1):
@@ -115,17 +118,17 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
     time = _fall(guard, reach, 0.0, False, work)
     if time < NEVER:
         across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
-        return (time if abs(across) <= 10.0 * ROUNDED else NEVER), False
+        return (time if abs(across) <= 10.0 * ROUNDOFF else NEVER), False
     if not speed < STOPS or begins(fresh):
         return NEVER, False
     along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
     near = speed <= REACH * h * -along  # else something else happens long before
-    straight = along < 0.0 and near and across * speed <= ROUNDED * -along
+    straight = along < 0.0 and near and across * speed <= ROUNDOFF * -along
     if fresh != 0:  # it has just begun
         straight = straight and speed < 0.5 * SLIP_SPEED
-    if straight and _neglected(series, -speed / along) <= ROUNDED:
+    if straight and _neglected(series, -speed / along) <= ROUNDOFF:
         return -speed / along, True
-    turns_back = fresh == 0 and speed < 10.0 * ROUNDED and across > 0.1 * along
+    turns_back = fresh == 0 and speed < 10.0 * ROUNDOFF and across > 0.1 * along
     return (0.0 if turns_back else NEVER), turns_back
 
 
@@ -152,7 +155,7 @@ def apply_events(system, state, series, roots, first, tie):
         normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
         mode = state.normal[j]
         if mode in (LOADING, RISING, SINKING):  # at zero with what has come there, but for rounding
-            normal = normal or abs(state.v[z]) <= ROUNDED < abs(series.v[0, z])
+            normal = normal or abs(state.v[z]) <= ROUNDOFF < abs(series.v[0, z])
         if tangent and before[j] == SLIPPING:
             stick(state, j)
             for other in range(len(system.friction)):  # a body that comes to rest does so at all its contacts
@@ -172,7 +175,7 @@ def apply_events(system, state, series, roots, first, tie):
             close(system, state, j)
         elif mode == LOADING or (mode == SINKING and normal):
             state.v[z] = 0.0
-            if state.indentation[j] <= ROUNDED:
+            if state.indentation[j] <= ROUNDOFF:
                 open_contact(state, j)
             else:
                 state.normal[j] = HELD if system.unloading[j] == 0.0 else RISING

@@ -10,7 +10,7 @@ from ..._compile.jit import inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
-from ..._numeric.tolerances import TINY
+from ..._numeric.tolerances import EXACT, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
     bounded_unknowns,
@@ -22,18 +22,7 @@ from .propagation_series import (
 )
 from .propagation_slip_onset import align, begin_at_bound
 from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
-from .tolerances import (
-    AHEAD,
-    BEGINS,
-    FAR_FROM_BOUNDS,
-    NEGLIGIBLE,
-    OPTIMAL,
-    POINT,
-    SAME,
-    SLIP_SPEED,
-    UNTURNED,
-    WEAK,
-)
+from .tolerances import AHEAD, BEGINS, FAR_FROM_BOUNDS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED, WEAK
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
@@ -384,6 +373,6 @@ def _press_held(system, state, unit, cap, forces):
             if state.tangent[j] == SLIPPING:
                 forces[x], forces[y] = gx * pressed, gy * pressed
         most = max(most, change)
-        if change <= POINT * strongest:
+        if change <= EXACT * strongest:
             break
     return most / strongest

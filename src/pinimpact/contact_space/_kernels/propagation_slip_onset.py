@@ -8,11 +8,11 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
-from ..._numeric.tolerances import PIVOT
+from ..._numeric.tolerances import PIVOT, ROUNDING
 from .codes import SLIPPING, STUCK
 from .propagation_series import answer_of_turn, expand, unknown_after
 from .propagation_state import AT_BOUND, RESUMED, TIED
-from .tolerances import BEGINS, DRIFT, NEGLIGIBLE, SLIP_SPEED
+from .tolerances import BEGINS, NEGLIGIBLE, SLIP_SPEED
 
 TURNS = 6
 """Of Newton's method for directions of slip that begins."""
@@ -113,13 +113,13 @@ def align(system, state, unit, weight, series):
             state.direction[2 * j] = (dx - turn[c] * dy) / length
             state.direction[2 * j + 1] = (dy + turn[c] * dx) / length
             largest = max(largest, abs(turn[c]))
-        if not largest > DRIFT:
+        if not largest > ROUNDING:
             break
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
     for j in range(n):
         if state.tangent[j] == SLIPPING and (state.fresh[j] == RESUMED or gradual[j] == 1):
-            lost = gradual[j] == 0 and not largest <= DRIFT
+            lost = gradual[j] == 0 and not largest <= ROUNDING
             if lost or not series.speed[0, j] > 0.0:
                 state.fresh[j] = 1
                 for i in range(2):

@@ -13,7 +13,8 @@ import numpy as np
 from ..._compile.declared import Floats
 from ..._compile.jit import inlined
 from ..._numeric.cone_program import cholesky, substitute
-from .tolerances import FITS, NEGLIGIBLE, ROUNDED
+from ..._numeric.tolerances import ROUNDOFF
+from .tolerances import FITS, NEGLIGIBLE
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
 """Of Newton's method and of its line search at most; part of the slope that the search may leave."""
@@ -120,7 +121,7 @@ def _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         off = 0.0
         for k in range(r):
             off = max(off, abs(gradient[k]))
-        if off <= FITS * creep or (off <= ROUNDED + NEGLIGIBLE * strongest and off > 0.5 * last):
+        if off <= FITS * creep or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
             return
         last = off
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)

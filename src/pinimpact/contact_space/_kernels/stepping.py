@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._compile.jit import always_inlined, jit
+from ..._numeric.tolerances import ROUNDOFF
 from .codes import (
     COMPRESSION,
     IN_SLIP,
@@ -39,7 +40,7 @@ from .moves import (
 from .recording import record_move, record_point
 from .slip_steps import At, Stepping, slip_move
 from .stiff_step import STAGES
-from .tolerances import CLOSE_TO_JUMP, ROUNDED
+from .tolerances import CLOSE_TO_JUMP
 
 MAX_SCALES = 1000
 """An impact that slips for more than this many times the scale of its steps is given up."""
@@ -96,7 +97,7 @@ def _stepping_of(problem, table, rtol):
         scale = speed / braking
     # slip across the range of A never ends
     lasting = (problem.flat and not problem.planar) or a11 + a22 == 0.0
-    negligible = rtol if rtol > 0.0 else ROUNDED if table.grading > 0.0 else 0.0
+    negligible = rtol if rtol > 0.0 else ROUNDOFF if table.grading > 0.0 else 0.0
     return Stepping(
         *(table, (a11, a12, a22, b1, b2), c, mu, problem.flat, lasting, problem.counts, rtol, scale),
         *(negligible, np.empty((max(len(table.b), STAGES), 4))),

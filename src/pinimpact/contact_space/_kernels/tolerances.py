@@ -14,9 +14,6 @@ CLEAR = 1e-12
 WELL_CONDITIONED = 1e-6
 """The same, above which what is small in W has nine digits or more without a factor."""
 
-VANISHES = 1e-250
-"""Coefficients of a series below this are zero: close to the smallest doubles arithmetic is slow."""
-
 ROOT = 1e-9
 """Part of a root by which another number differs from it and is it: at an extremum of v₃ the square of that
 counts, and Newton's method leaves its square."""
@@ -29,10 +26,6 @@ CLOSE_TO_JUMP = 1e-2
 
 NEAR_THRESHOLD = 1e-6
 """Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
-
-ROUNDED = 1e-14
-"""Part of the impulse of friction that counts as none, for the end of slip by steps of given length; and part
-of the largest velocity at many contacts that is zero: some fifty roundings."""
 
 ROOM = 1.0 + 1e-9
 """How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
@@ -58,10 +51,6 @@ rounding. Shorter steps are not taken."""
 SLOW = 1e-10
 """A speed, in parts of the largest, at which what was held is not; and of an approach that is rest."""
 
-DRIFT = 1e-12
-"""Part of the largest velocity by which one may differ from what impulses make of it; the acceleration of
-what friction has locked, in the steps; and the last turn by Newton's method of a slip that begins [rad]."""
-
 STOPS = 1e-7
 """A slip below this speed that runs straight at zero is taken there in one step, of second order."""
 
@@ -77,7 +66,7 @@ AHEAD = 1e-6
 UNTURNED = 1e-3
 """How far ahead that is at most, in the unit of the clock in which slow slip turns slowly."""
 
-SAME = 1e-6
+SAME = AHEAD
 """Part of the largest force by which forces that hold the same differ; and of a bound within which friction
 is at it: what `AHEAD` lets forces change. And part of the speed at which slips begin that the series of one
 that begins has to reach: its accelerations are off by as much."""
@@ -93,9 +82,6 @@ BEGINS = 1e-4
 
 NOISE = 1e-13
 """Part of the largest coefficient of a guard below which one is rounding."""
-
-POINT = 1e-15
-"""Part of an interval that counts as a point, and of a force that counts as no change: a few roundings."""
 
 OPTIMAL = 1e-22
 """Gap of the convex programs of friction, of order one, whose solution is then right to some 1e-11: they go
@@ -125,11 +111,3 @@ AGREE, USEFUL = 1e-7, 1e-3
 
 FIRST_RESTITUTION = 1e-3
 """The first of those that are halved to extrapolate to e = 0 in steps."""
-
-# ---- flags of solutions and checks of inputs
-
-RESTS = 1e-9
-"""Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
-
-FITTING = 1e-9
-"""Part of the largest entry of W by which a factor of it may miss it."""

@@ -140,7 +140,7 @@ def nearest_on_edges(along_a, half_a, along_b, half_b, cosine):
         cosine: Of the angle between them.
     """
     determinant = 1.0 - cosine * cosine
-    if determinant > PARALLEL * PARALLEL:
+    if determinant > 0.0:
         s = min(max((cosine * along_b - along_a) / determinant, -half_a), half_a)
     else:  # the middle of what lies side by side
         low = min(max(-along_a - half_b, -half_a), half_a)

@@ -6,6 +6,7 @@ import math
 
 from ..._compile.declared import declared
 from ..._compile.jit import jit
+from ..._numeric.tolerances import TINY
 
 
 @declared(float, float, float)
@@ -19,7 +20,7 @@ def contact_axes(nx, ny, nz):
     s = math.hypot(nx, ny)
     if s == 0.0:
         return (1.0, 0.0, 0.0, 0.0, 1.0 if nz > 0.0 else -1.0, 0.0)
-    up = 2.0**600 if s < 1e-290 else 1.0  # numbers that small have few digits, and so has their hypot
+    up = 2.0**600 if s < TINY else 1.0  # numbers that small have few digits, and so has their hypot
     u1, u2 = nx * up, ny * up
     r = math.hypot(u1, u2)
     u1, u2 = u1 / r, u2 / r

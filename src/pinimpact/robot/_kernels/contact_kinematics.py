@@ -14,6 +14,7 @@ import math
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.tolerances import EPS
 from ...geometry._kernels import surfaces
 from ...geometry._kernels.constants import (
     AXES,
@@ -30,7 +31,6 @@ from ...geometry._kernels.constants import (
     VELOCITY,
 )
 from ...geometry._kernels.contact_axes import contact_axes
-from ..tolerances import LEAST_RISE
 from .placement import cross, direction, place, pose, rotate, rotate_back
 
 
@@ -44,7 +44,7 @@ def carried_axes(k, n1, n2, n3):
     a1, a2, a3 = k[AXES], k[AXES + 1], k[AXES + 2]
     b1, b2, b3 = k[AXES + 3], k[AXES + 4], k[AXES + 5]
     e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
-    w = max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, LEAST_RISE)
+    w = max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, EPS)
     f, g = (a1 * n1 + a2 * n2 + a3 * n3) / w, (b1 * n1 + b2 * n2 + b3 * n3) / w
     m1, m2, m3 = e1 + n1, e2 + n2, e3 + n3
     return a1 - f * m1, a2 - f * m2, a3 - f * m3, b1 - g * m1, b2 - g * m2, b3 - g * m3
@@ -58,7 +58,7 @@ def carried_spin(k, n1, n2, n3, m1, m2, m3):
     """
     e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
     w1, w2, w3 = cross(n1, n2, n3, m1, m2, m3)
-    f = (e1 * w1 + e2 * w2 + e3 * w3) / max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, LEAST_RISE)
+    f = (e1 * w1 + e2 * w2 + e3 * w3) / max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, EPS)
     return w1 - f * n1, w2 - f * n2, w3 - f * n3
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from ..tolerances import COUPLED
+from ..._numeric.tolerances import ROUNDING
 from .tree import factor, solve, solve_transposed
 
 
@@ -93,7 +93,7 @@ def taking_part(delassus, friction, rates, least, first, found):
         x, y, z = 3 * i, 3 * i + 1, 3 * i + 2
         for j in range(n):
             size = _largest(delassus, i, j)
-            if found[j] != 0 or not size * size > COUPLED * COUPLED * own[i] * own[j]:
+            if found[j] != 0 or not size * size > ROUNDING * ROUNDING * own[i] * own[j]:
                 continue
             feels = True
             of_normal = delassus[3 * j + 2]

@@ -12,7 +12,7 @@ import math
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
-from ..tolerances import NORMALIZED
+from ..._numeric.tolerances import HALF_DIGITS
 from .placement import rotate, slide, turn_by, turn_by_quaternion
 from .robot_workspace import (
     FREE_FLYER,
@@ -73,7 +73,7 @@ def _move(work, j, q, R):
             _turn(R, axis, cos, sin)
         else:
             _turn_about(R, work.velocity_axis[work.joint_v[j]], cos, sin)
-        return kind == REVOLUTE or abs(math.sqrt(cos * cos + sin * sin) - 1.0) <= NORMALIZED
+        return kind == REVOLUTE or abs(math.sqrt(cos * cos + sin * sin) - 1.0) <= HALF_DIGITS
     if kind == PRISMATIC:
         a = work.velocity_axis[work.joint_v[j]]
         slide(R, q[at] * a[0], q[at] * a[1], q[at] * a[2])
@@ -81,14 +81,14 @@ def _move(work, j, q, R):
     if kind == PLANAR:
         slide(R, q[at], q[at + 1], 0.0)
         _turn(R, 2, q[at + 2], q[at + 3])
-        return abs(math.sqrt(q[at + 2] * q[at + 2] + q[at + 3] * q[at + 3]) - 1.0) <= NORMALIZED
+        return abs(math.sqrt(q[at + 2] * q[at + 2] + q[at + 3] * q[at + 3]) - 1.0) <= HALF_DIGITS
     if kind in (TRANSLATION, FREE_FLYER):
         slide(R, q[at], q[at + 1], q[at + 2])
         at += 3
     if kind in (SPHERICAL, FREE_FLYER):
         x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
         turn_by_quaternion(R, x, y, z, w)
-        return abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) <= NORMALIZED
+        return abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) <= HALF_DIGITS
     return True
 
 

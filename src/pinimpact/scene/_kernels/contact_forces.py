@@ -16,7 +16,8 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
-from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, RIGID, SINGULAR_STILL
+from ..._numeric.tolerances import ROUNDOFF
+from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
@@ -108,7 +109,7 @@ def set_up_equations(work, acceleration):
     for a in range(size):
         largest = max(largest, abs(system[a, a]))
     for a in range(size):
-        if abs(system[a, a]) <= RIGID * largest:  # nothing moves this way (across a planar robot): no force
+        if abs(system[a, a]) <= ROUNDOFF * largest:  # nothing moves this way (across a planar robot)
             for b in range(size):
                 system[a, b] = system[b, a] = 0.0
             system[a, a] = largest

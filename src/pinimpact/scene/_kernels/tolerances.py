@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-# ---- rounding
-
-ROUNDING = 1e-12
-"""Part of the largest of what belongs together (sizes, times, speeds, entries of a matrix) that is rounding:
-some thousands of roundings."""
-
-RIGID = 1e-14
-"""Part of the largest inverse inertia or pivot below which one is zero: the rounding of a row that nothing
-moves."""
+from ..._numeric.tolerances import ROUNDING as ROUNDING
 
 NEIGHBOURS = 2e-16
 """Relative difference of two times that are neighbours in floating point."""
@@ -43,9 +35,6 @@ FINEST = 1e-13
 
 DOUBTFUL = 1e-8
 """Part of the largest force by which others may miss their bounds for the error of a step alone."""
-
-MARGIN = 1e-13
-"""To what part of the forces the largest margin is found, near the end of what the method can."""
 
 # ---- velocities
 
@@ -142,9 +131,6 @@ steps may leave more, see `STEPS_SLACK`; the event-driven scheme does not start 
 
 HELD_GAP = 1e-3
 """Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
-
-HELD_SPEED = 1e-6
-"""Speed [m/s] up to which they start at rest: rounding of velocities up to 1, in parts of larger ones."""
 
 # ---- derivatives
 

@@ -15,12 +15,13 @@ from ..._compile.jit import external, inlined
 from ..._numeric.coulomb_problem import USABLE, scale
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.semidefinite import factor
+from ..._numeric.tolerances import ROUNDOFF
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
 from .contact_forces import FREE, SLIP
 from .dynamics import follow_surface, motion_of_contact
-from .tolerances import LEAST_SIZE, NEGLIGIBLE, RIGID, ROUNDED
+from .tolerances import LEAST_SIZE, NEGLIGIBLE, ROUNDED
 
 
 class Touching(NamedTuple):
@@ -139,7 +140,7 @@ def determines_forces(delassus):
     for a in range(size):
         stiffest = max(stiffest, delassus[a, a])
     for a in range(size):
-        rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
+        rank += delassus[a, a] <= ROUNDOFF * stiffest  # nothing moves this way
     return rank == size
 
 

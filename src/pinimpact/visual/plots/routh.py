@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._numeric.tolerances import HALF_DIGITS
 from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
 from ..impact_marks import OneImpact
@@ -15,9 +16,6 @@ from .one_impact import check_alone, parts, solved
 from .style import BLACK, COMPRESSION, GREEN, RESTITUTION, STICK, axes_for, legend
 
 Array = NDArray[np.float64]
-
-FLAT = float(np.sqrt(np.finfo(float).eps))
-"""Part by which an impact in a plane may leave it: unstable slip amplifies rounding."""
 
 
 def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
@@ -76,7 +74,7 @@ def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
         direction = -direction
     across = np.array([-direction[1], direction[0]])
     for row in (impulse[:, :2], velocity[:2], w[:2, 2], w[:2, :2] @ direction):
-        if np.abs(row @ across).max() > FLAT * float(np.abs(row).max()):
+        if np.abs(row @ across).max() > HALF_DIGITS * float(np.abs(row).max()):
             return None
     return direction
 
