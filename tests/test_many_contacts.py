@@ -1,6 +1,7 @@
 """Impacts at many contacts in contact space: closed forms, another integration, symmetries, energy."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -673,6 +674,23 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, restituti
     mass = np.linalg.inv(inverse)
     gained = 0.5 * (after @ mass @ after - u @ mass @ u)
     assert by_steps.work.total.sum() == pytest.approx(gained, rel=1e-6)
+
+
+@pytest.mark.parametrize(("restitution", "most"), [(0.5, 200), (0.0, 400)])
+def test_fewer_steps_than_the_usual_accuracy_needs_give_less_accuracy(monkeypatch, restitution, most):
+    jacobian, inverse, u, mu, _ = draw(11)
+    options = {"friction": mu, "restitution": restitution, "simultaneous": "propagate"}
+    by_events, _ = collide(jacobian, inverse, u, **options)
+    monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
+    usual, _ = collide(jacobian, inverse, u, **options)
+    monkeypatch.setattr("pinimpact.contact_space.waves.MOST_SHORT_STEPS", most)
+    with pytest.warns(pinimpact.BoundReachedWarning, match="integrated by adaptive steps"):
+        fewer, _ = collide(jacobian, inverse, u, **options)
+    noted = float(re.search(r"to about (\S+) of the largest", fewer.notes[-1])[1])
+    largest = np.abs(jacobian @ u).max()
+    missed = np.abs(fewer.velocity - by_events.velocity).max() / largest
+    assert missed <= noted <= 1e-3
+    assert missed > np.abs(usual.velocity - by_events.velocity).max() / largest
 
 
 @pytest.mark.parametrize("seed", [13, 27, 28, 50])

@@ -11,7 +11,7 @@ import numpy as np
 from .._numeric.tolerances import TINY
 from ..checks import in_short, real_number
 from ..errors import InputError
-from ._kernels.tolerances import AGREE, FINEST, FIRST_RESTITUTION, MISSED, STEP_ACCURACY, USEFUL
+from ._kernels.tolerances import AGREE, COARSEST, FINEST, FIRST_RESTITUTION, MISSED, STEP_ACCURACY, USEFUL
 from .at_once import solve_together
 from .inputs import Array
 from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
@@ -88,8 +88,10 @@ def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
 
 
 MOST_SHORT_STEPS = 20_000
-"""Steps that a pass may take."""
+"""Steps that a pass may take, about 0.3 s."""
 
+SPENT = 50_000
+"""Steps after which no smaller coefficient of restitution is tried."""
 
 MOST_RESTITUTIONS = 8
 """Coefficients of restitution, halved each time, from two of which steps extrapolate to e = 0, at most."""
@@ -106,15 +108,19 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         little = inputs._replace(
             restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution)
         )
-        found = _passes(little, exponent, rows)
+        found = _passes(little, exponent, rows, max(accuracy, STEP_ACCURACY))
         if found is None:
             break
         before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
         last, missed, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
-        if before is not None:
-            missed = max(missed, _differ(inputs, numbers, before), _approach_left(inputs, numbers))
-        if k > 1 and missed <= AGREE:
-            break
+        if plastic.any():  # what two extrapolations differ by, or the first coefficient before there are two
+            change = FIRST_RESTITUTION
+            if before is not None:
+                change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
+            enough = k > 1 and change <= max(missed, AGREE)
+            missed = max(missed, change)
+            if enough or steps > SPENT:
+                break
     if numbers is None:
         return None
     impulse = _within_cones(inputs, numbers)
@@ -153,25 +159,40 @@ def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
     return impulse
 
 
-def _passes(inputs: ManyInputs, exponent: float, rows: Array) -> tuple[Array, float, int, float] | None:
+def _passes(
+    inputs: ManyInputs, exponent: float, rows: Array, accuracy: float
+) -> tuple[Array, float, int, float] | None:
     """Step through an impact with more and more accuracy, until two passes agree.
 
+    Args:
+        inputs: The impact.
+        exponent: Of its forces.
+        rows: (3n, r) J with W = J Jᵀ.
+        accuracy: Of the first pass; a coarser one takes its place where it takes too many steps.
+
     Returns:
-        Impulses and works (6n,), by how much velocities differ from those of the pass before it, the number
-        of all steps, and the accuracy of the last pass; None where passes do not agree.
+        Impulses and works (6n,), by how much velocities differ from those of a pass with a tenth of the
+        accuracy, the number of all steps, and the accuracy; None where passes do not agree.
     """
-    accuracy, total, missed = STEP_ACCURACY, 0, np.inf
-    best: Array | None = None
-    for finer in (STEP_ACCURACY * 0.1**k for k in range(round(np.log10(STEP_ACCURACY / FINEST)) + 1)):
-        steps, numbers = _pass(inputs, exponent, rows, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
+    nowhere = np.empty((0, 3 * len(inputs.velocity) + 1))
+    steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
+    finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
+    while steps == 0 and accuracy < COARSEST:
+        accuracy *= 10.0
+        steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
+        total += steps or MOST_SHORT_STEPS
+    if steps == 0:
+        return None
+    while finer and missed > AGREE and accuracy > FINEST:
+        steps, other = _pass(inputs, exponent, rows, 0.1 * accuracy, nowhere)
+        total += steps or MOST_SHORT_STEPS
         if steps == 0:
             break
-        if best is not None:
-            missed = _differ(inputs, numbers, best)
-        best, total, accuracy = numbers, total + steps, finer
-        if missed <= AGREE:
-            break
-    return None if best is None or not missed <= USEFUL else (best, missed, total, accuracy)
+        best, missed, accuracy = other, _differ(inputs, best, other), 0.1 * accuracy
+    if missed == np.inf:
+        steps, other = _pass(inputs, exponent, rows, 10.0 * accuracy, nowhere)
+        total, missed = total + steps, _differ(inputs, best, other) if steps > 0 else np.inf
+    return (best, missed, total, accuracy) if missed <= USEFUL else None
 
 
 def _pass(
