@@ -146,6 +146,29 @@ def test_a_joint_limit_bounces_by_its_restitution():
     assert trajectory.q[-1, 0] == pytest.approx(0.5 * 0.2, abs=1e-9)
 
 
+@pytest.mark.parametrize(("friction", "sliding"), [(1.0, 0.0), (0.0, 1.0)])
+def test_an_impact_without_restitution_has_its_own_friction(friction, sliding):
+    model = slider()
+    contact = Contact(model.frames[-1].name, FLOOR, friction=friction, sliding_friction=sliding)
+    height, after = 0.2, 0.01
+    fall = math.sqrt(2.0 * height / G)
+    trajectory = step(Scene(model, contact), [0.0, 0.0, height], [3.0, 0.0, 0.0], fall + after, 1e-3)
+    speed = 3.0 - friction * G * fall - sliding * G * after
+    assert trajectory.v[-1] == pytest.approx([speed, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_locked_joint_takes_no_part_in_an_impact_without_restitution():
+    robot = load_robot("two_link_arm")
+    q = np.array([-0.2, 0.3])
+    tip = Contact(robot.model.frames[-1].name, Plane())
+    height = tip.gap(robot.model, robot.data, q)
+    tip = Contact(tip.frame, Plane((0.0, 0.0, height - 0.1)), friction=0.3)
+    scene = Scene(robot, tip, locked=[robot.model.names[-1]])
+    exact, trajectory = simulate(scene, q, [0.0, 0.0], 0.4), step(scene, q, [0.0, 0.0], 0.4, 1e-4)
+    assert trajectory.impacts[0].v_after == pytest.approx(exact.impacts[0].v_after, abs=1e-3)
+    assert trajectory.impacts[0].v_after[1] == trajectory.impacts[0].v_before[1]
+
+
 def test_a_stack_that_is_aligned_stands_and_shares_its_load_alike():
     count, mass = 5, 1.0
     scene = boxes(count, (0.2, 0.2, 0.1), mass)

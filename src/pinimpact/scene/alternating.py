@@ -184,7 +184,7 @@ class Alternating(TimeStepping):
         self._faces.place(state.q, state.v, 0.0, touching=self._touching)
         gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
         # what arrives here without restitution is stopped by the first step
-        if (self._bounces & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
+        if (self._collides & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
             self._collide()
         self._let_events_happen()
 

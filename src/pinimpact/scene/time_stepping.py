@@ -33,6 +33,7 @@ from .forces import StepForces
 from .integrator import Integrator
 from .rest import Rest
 from .step_taken import Removal, StepTaken
+from .switched_off import locked_joints
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -91,10 +92,10 @@ class TimeStepping(Integrator):
         self._no_change = np.zeros(model.nv)
         if state.warm_start is None:
             state.warm_start = state.pushed = self._no_change
-        # what has no restitution closes within a step's contact problem, by Moreau's law
-        bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
-        bounces += [scene.limit_restitution > 0.0] * len(self.dynamics.limits)
-        self._bounces = np.array(bounces, dtype=bool)
+        # what closes by the laws of a step does so within its contact problem, as Moreau has it
+        alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
+        alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
+        self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
@@ -215,7 +216,7 @@ class TimeStepping(Integrator):
         self._invert(middle, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, self._tree, self._start),
-            *(self._rest.joints, self._bounces, self._compliances),
+            *(self._rest.joints, self._collides, self._compliances),
         )
         state.warm_start = np.array(state.warm_start)
         rows = self._rows(middle, v, h, slack, self._faces.boxes)

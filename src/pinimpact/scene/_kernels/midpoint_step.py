@@ -156,14 +156,14 @@ def free_velocity(h, v, acceleration, system, predicted, out):
 
 
 @inlined
-def find_arrivals(work, h, touching, bounces, rows, acceleration, free, found):
-    """Fill in which contacts and limits collide in the step: open ones with restitution that close fast.
+def find_arrivals(work, h, touching, collides, rows, acceleration, free, found):
+    """Fill in which contacts and limits collide in the step: open ones of those that may, which close fast.
 
     Args:
         work: The workspace.
         h: Length of the step [s].
         touching: Gap above which what is open can arrive [m].
-        bounces: (n + nl,) see `StepSystem`.
+        collides: (n + nl,) see `StepSystem`.
         rows: The `StepRows`.
         acceleration: (nc + nh, 3) of contacts without contact forces [m/s²].
         free: (rows,) velocities at the end of the step without impulses.
@@ -185,7 +185,7 @@ def find_arrivals(work, h, touching, bounces, rows, acceleration, free, found):
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
         arrives[i] = (
-            bounces[number]
+            collides[number]
             and u_start[row] < -max(work.resting_speed, 2.0 * own)
             and gap[place] - 0.5 * h * u_start[row] > touching
         )
@@ -303,7 +303,7 @@ def midpoint_step(work, t, h, q, v, touching, system, rows, begin, pushed, found
         offset[a] = u_start[a] - offset[a]
     free_velocity(h, v, work.acceleration, system, v, predicted)
     velocities(rows, offset, predicted, free)
-    find_arrivals(work, h, touching, system.bounces, rows, acceleration, free, found)
+    find_arrivals(work, h, touching, system.collides, rows, acceleration, free, found)
     for c in range(nv):
         predicted[c] += h * pushed[c]  # by impulses as in the step before
         mean[c] = 0.5 * (v[c] + predicted[c])

@@ -72,7 +72,7 @@ class StepSystem(NamedTuple):
         tree: (nv,) number of the tree that each velocity belongs to.
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
-        bounces: (n + nl,) which contacts and limits have restitution.
+        collides: (n + nl,) which contacts and limits do not close by the laws of a step.
         compliances: (n,) of all contacts.
     """
 
@@ -82,7 +82,7 @@ class StepSystem(NamedTuple):
     tree: Integers
     start: Integers
     rests: Flags
-    bounces: Flags
+    collides: Flags
     compliances: Floats
 
 
