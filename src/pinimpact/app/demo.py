@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import EPS
+from ..arrays import Array
 from ..checks import above_zero
 from ..errors import InputError, ModelError, SimulationError
 from ..geometry.plane import Plane
@@ -27,8 +27,6 @@ from ..scene.trajectory import Trajectory
 from ..visual.surface_shapes import MARGIN
 from .posture import FLAT, TILTS, Body, Strike, arm_posture, bent, landing, soles
 from .robot_info import frame_label, free_base, suggested_frames
-
-Array = NDArray[np.float64]
 
 BEFORE, AFTER = 0.15, 0.25
 """Simulated time before and after the impact [s], for a robot of 1 m; less for smaller ones."""

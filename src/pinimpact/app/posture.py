@@ -9,15 +9,13 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from ..arrays import Array
 from ..geometry.collision_shapes import extreme_points
 from ..robot.joint_limits import bounds
 from ..visual.shapes_in_contact import surface_points
 from ..visual.surface_shapes import THICKNESS
-
-Array = NDArray[np.float64]
 
 SAMPLES, SEED = 600, 28
 """Number of random postures of an arm, before steps from the best of them, and their seed."""

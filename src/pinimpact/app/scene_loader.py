@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import choice, near_matches
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import Surface
@@ -24,8 +24,6 @@ from ..scene.simulation import SCHEMES, simulate
 from ..scene.trajectory import Trajectory
 from .scene_file import ContactTable, ControlTable, SceneFile, StartTable, bundled_scenes, read_scene_file
 from .units import quantity
-
-Array = NDArray[np.float64]
 
 
 class JointControl:

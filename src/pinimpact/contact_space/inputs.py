@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..arrays import Array
+
 Inputs = tuple[float, float, float, float, float, float, float, float, float, float, float, int, float, Array]
 """w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, v₁, v₂, v₃, μ, e, the law's code, `ImpactProblem.velocity_scale` or 0, and
 the numbers of a factor of W, see `FACTOR`, or none."""

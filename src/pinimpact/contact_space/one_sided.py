@@ -6,13 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import in_short
 from ..errors import InputError
 from .inputs import NO_FACTOR, Inputs
-
-Array = NDArray[np.float64]
 
 STEPS = 1e-5, 1e-6, 1e-8, 1e-10, 1e-12
 """Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""

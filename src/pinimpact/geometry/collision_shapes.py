@@ -13,13 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import as_tuple, in_short, near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
 from .tolerances import COINCIDE
-
-Array = NDArray[np.float64]
 
 
 class ShapeTips(NamedTuple):

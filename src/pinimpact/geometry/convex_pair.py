@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._numeric.tolerances import ROUNDING
+from ..arrays import Array, Integers
 from .convex_shape import PlacedShape, cross
 from .tolerances import (
     CLOSE,
@@ -23,9 +24,6 @@ from .tolerances import (
     PARALLEL,
     TIE,
 )
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 class Gap(NamedTuple):

@@ -10,14 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import ROUNDING
+from ..arrays import Array
 from .convex_pair import gap, touches
 from .convex_shape import PlacedShape, cross
 from .tolerances import COINCIDE, FACE, NEAREST
-
-Array = NDArray[np.float64]
 
 
 class Patch(NamedTuple):

@@ -25,13 +25,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape, cross
 from .tolerances import COINCIDE, FAR
-
-Array = NDArray[np.float64]
 
 MAX_ADVANCES = 20_000
 """Largest number of advances of a pair that neither touches nor separates; one that separates at a thousandth

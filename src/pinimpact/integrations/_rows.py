@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.batch import solve_impacts
 from ..contact_space.laws import law_code
 from ..errors import InputError, LawError, UnstoppableApproachError
@@ -18,8 +18,6 @@ from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
 from ..robot.names import model_of
 from ..scene.joint_charts import coordinate_rates, joint_table
-
-Array = NDArray[np.float64]
 
 
 def refuse_single_precision(kind: Any, name: str, remedy: str) -> None:

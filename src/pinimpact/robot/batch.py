@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from .._compile.threads import in_threads, thread_count
+from ..arrays import Array
 from ..checks import counted, float_array, in_short, real_numbers
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
@@ -31,7 +32,6 @@ from .robot_impact import LOCKED, Hit, impact, impact_by_pinocchio, restitution_
 from .struck import strike
 from .touching import check_rims
 
-Array = NDArray[np.float64]
 _INVALID = int(Status.INVALID_NUMBERS)
 
 

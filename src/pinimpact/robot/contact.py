@@ -9,8 +9,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import above_zero, as_tuple, at_least_zero, coefficient, in_short
 from ..contact_space.laws import law_code
 from ..display import short_repr
@@ -31,8 +32,6 @@ from ..geometry.plane import Plane
 from ..geometry.surfaces import Surface, Vector, check_frame_key, unit_vector, vector
 from .names import frame_id, model_of
 from .placed_robot import PlacedRobot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)

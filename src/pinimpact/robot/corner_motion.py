@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError
 from ..geometry.convex_pair import Touch
 from ..geometry.convex_shape import PlacedShape
@@ -16,8 +16,6 @@ from ._kernels import configuration_slopes as places
 from .contact import Contact
 from .placed_robot import PlacedRobot
 from .shape_pair import ShapePair, closest_points, point_contact
-
-Array = NDArray[np.float64]
 
 
 class Corner(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import above_zero, finite_array, float_array
 from ..contact_space.derivatives import Boundary
 from ..contact_space.one_sided import check_side
@@ -35,7 +36,6 @@ from .touching import check_rims, touching_tips
 if TYPE_CHECKING:
     from .many_derivatives import ManyImpactDerivatives
 
-Array = NDArray[np.float64]
 _UPPER = np.triu_indices(3)
 
 

@@ -6,15 +6,13 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import ROUNDING
+from ..arrays import Array
 from ..errors import InputError
 from .contact import Contact
 from .placed_robot import ContactGeometry
 from .tolerances import HELD_TOLERANCE
-
-Array = NDArray[np.float64]
 
 
 class HeldContactWarning(UserWarning):

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._numeric.tolerances import HALF_DIGITS, RANK, ROUNDING
+from ..arrays import Array
 from ..checks import as_tuple
 from ..errors import InputError
 from .contact import Contact, check_contact
@@ -17,8 +18,6 @@ from .data_cache import checked_configuration, data_cache
 from .joint_limits import bounds, degrees_hint
 from .matrices import contact_geometry
 from .names import model_of
-
-Array = NDArray[np.float64]
 
 MAX_STEPS = 100
 SHORTEST_PART = 0.01

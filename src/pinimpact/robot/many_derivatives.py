@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import finite_array
 from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, Slopes, slopes_along
@@ -25,8 +26,6 @@ from .matrices import ManyMatrices, checked_matrices
 from .names import free_velocities, model_of
 from .placed_robot import PlacedRobot
 from .touching import check_rims
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import finite_array
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
@@ -25,8 +26,6 @@ from .matrices import ManyMatrices, many_matrices
 from .names import Stiffening
 from .placed_robot import PlacedRobot
 from .touching import check_rims
-
-Array = NDArray[np.float64]
 
 
 class ImpactOptions(NamedTuple):

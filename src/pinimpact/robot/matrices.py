@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..contact_space.inputs import FACTOR, triangle_of
 from ..display import in_a_line
 from ._kernels import contact_kinematics
@@ -19,7 +20,6 @@ from .contact import Contact, check_contact, check_held
 from .names import Stiffening, mobilities, model_of, singular_mass
 from .placed_robot import ContactGeometry, PlacedRobot
 
-Array = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
 
 

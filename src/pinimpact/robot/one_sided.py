@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.one_sided import fill_one_sided
 from ..errors import PinimpactError
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ._kernels.impact_slopes import FRICTION, RESTITUTION, SURFACE
 from .contact import Contact
-
-Array = NDArray[np.float64]
 
 
 def fill_one_sided_of_robot(

@@ -31,6 +31,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK
+from ..arrays import Array
 from ..errors import ModelError
 from ._kernels import tree
 from ._kernels.free_bodies import BODY as BODIES
@@ -39,7 +40,6 @@ from .forest import Forest, data_of, parts_of
 from .names import singular_mass
 from .tolerances import AGREEMENT
 
-Array = NDArray[np.float64]
 _WORLD = pin.Convention.WORLD
 
 

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..display import in_a_line
 from ._kernels import contact_kinematics
 from .data_cache import checked_configuration, data_cache
 from .forest import forward_kinematics, frame_placement, joint_jacobian, mass_matrix
 from .names import model_of
 from .pinocchio_bridge import refuse
-
-Array = NDArray[np.float64]
 
 WORLD = np.eye(4)
 """Placement of surfaces that are attached to no body."""

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError
 from .contact import Contact
 from .forest import Forest
 from .placed_robot import PlacedRobot
-
-Array = NDArray[np.float64]
 
 
 def joint_reactions(placed: PlacedRobot, change: Array, contacts: Sequence[Contact], pushes: Array) -> Array:

@@ -9,8 +9,9 @@ from typing import Any, overload
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import finite_array, float_array, real_numbers
 from ..contact_space.inputs import FACTOR, NO_FACTOR, triangle_of
 from ..contact_space.one_contact import solve_inputs
@@ -36,7 +37,6 @@ from .touching import check_rims, touching_tips
 LOCKED = int(Status.LOCKED)
 """The last status with a solution."""
 
-Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 # bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
 _Model = pin.Model

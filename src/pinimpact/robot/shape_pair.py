@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..errors import InputError
 from ..geometry.collision_shapes import collision_model, find_shape
 from ..geometry.convex_pair import Touch, at_one_place, gap, touches
@@ -25,8 +26,6 @@ from .contact import Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
 from .solids import CarriedShape, Solid, collision_shape, solid_sphere
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

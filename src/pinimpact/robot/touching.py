@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._numeric.tolerances import ROUNDING
+from ..arrays import Array
 from ..errors import InputError
 from ..geometry.tolerances import NEAREST
 from .contact import Contact
 from .placed_robot import PlacedRobot
-
-Array = NDArray[np.float64]
 
 
 def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:

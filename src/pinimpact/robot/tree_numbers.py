@@ -14,14 +14,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._compile.jit import compile_all
+from ..arrays import Array
 from ..geometry._kernels.contact_axes import contact_axes
 from . import pinocchio_bridge as bridge
 from ._kernels import robot_workspace as joint_kinds
 from ._kernels.robot_impact import robot_impact, room_for
 from ._kernels.robot_workspace import RobotWorkspace
 from ._kernels.tree_matrices import BODY, evaluate_tree
-
-Array = NDArray[np.float64]
 
 _ALONG = np.eye(3)
 _AXES = {"X": 0, "Y": 1, "Z": 2}

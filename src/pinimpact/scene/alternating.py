@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
 from ._kernels.tolerances import FIRST_STEP
@@ -24,8 +24,6 @@ from .progress import BY_EVENTS, RUBBING, ended
 from .recorder import Mark
 from .records import SteppedInterval
 from .time_stepping import TimeStepping
-
-Array = NDArray[np.float64]
 
 CHUNK = 8
 """Steps after which two lengths of steps are compared."""

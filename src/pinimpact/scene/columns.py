@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.solution import CAUSES
 from ..tables import AXES, by_component
 from .records import ImpactRecord, ModeInterval
-
-Array = NDArray[np.float64]
 
 
 def impact_columns(rows: Sequence[ImpactRecord], velocities: tuple[str, ...]) -> dict[str, NDArray[Any]]:

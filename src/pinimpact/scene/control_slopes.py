@@ -5,14 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import finite_array
 from .controls import JointPD, SampledControl
 from .scene import Scene
 
-Array = NDArray[np.float64]
 ControlJacobian = Callable[[float, Array, Array], ArrayLike]
 """jacobian(t, q, v) -> (nv, 2 nv) of the forces by q, in the tangent space, and v."""
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import finite_array, float_array, real_numbers
 from ..display import short_repr
 from ..errors import InputError, SimulationError
@@ -18,7 +19,6 @@ from ..robot.names import joint_of_velocity
 from ._kernels.tolerances import ROUNDING
 from ._kernels.workspace import SceneWorkspace
 
-Array = NDArray[np.float64]
 Control = Callable[[float, Array, Array], ArrayLike]
 """control(t, q, v) -> (nv,) generalized forces [N, N m]."""
 

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ._kernels import dense_output
 from .step_taken import StepTaken
-
-Array = NDArray[np.float64]
 
 WORKS = 4
 """Work integrated with the motion: of control, joints, sliding friction and moving surfaces."""

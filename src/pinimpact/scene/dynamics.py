@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from .._compile.jit import compile_all
+from ..arrays import Array, Integers
 from ..contact_space.simultaneous import find_policy
 from ..robot._kernels import contact_kinematics, responses, robot_impact, tree_matrices
 from ..robot._kernels.python_calls import raise_kept_error
@@ -43,9 +43,6 @@ STIFF = 1e3
 
 CLOSABLE = 64
 """Contacts for which there is room at first to be closed at once, beside held ones."""
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 class FreeMotion(NamedTuple):

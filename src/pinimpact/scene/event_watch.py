@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..arrays import Array
 from ..checks import finite_array, real_number
 from ..errors import SimulationError
 from .crossing import crossing
@@ -17,8 +15,6 @@ from .dense_step import DenseStep
 from .events import Event
 from .hybrid_state import HybridState
 from .records import EventRecord
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import in_short
 from ..display import short_repr
 from ..errors import InputError
 
-Array = NDArray[np.float64]
 Guard = Callable[[float, Array, Array], float]
 """guard(t, q, v) -> a number whose sign counts; truth values have none."""
 Callback = Callable[[float, Array, Array], ArrayLike | None]

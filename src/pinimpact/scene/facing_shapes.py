@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..geometry._kernels.box_patch import MOST
 from ..geometry.convex_pair import Touch
 from ..geometry.patch import Patch, patch
@@ -20,8 +21,6 @@ from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
 from ._kernels.facing_boxes import BOX, HALF, REACH, face_boxes, fill_contact
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -9,12 +9,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ._kernels import active_set, force_evaluation
 from ._kernels.contact_forces import SLIP
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import DenseStep
-
-Array = NDArray[np.float64]
 
 FORCE_SAMPLES = 7
 """Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..robot.shape_pair import PointContact
 from .dense_step import WORKS
 from .forces import ClosedSet, StepForces
 from .records import SteppedInterval
-
-Array = NDArray[np.float64]
 
 
 class Touching(NamedTuple):

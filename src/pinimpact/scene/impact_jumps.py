@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, slopes_along
 from ..contact_space.many_inputs import many_inputs
@@ -31,8 +32,6 @@ from .records import ImpactGroup, ImpactRecord
 from .scene import Scene
 from .scene_impacts import matrices_of_all
 from .switched_off import held_contacts, locked_joints
-
-Array = NDArray[np.float64]
 
 
 class Parameter(NamedTuple):

@@ -8,14 +8,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..robot.robot_impact import Hit
 from .records import ImpactGroup
-
-Array = NDArray[np.float64]
 
 
 class Impact(NamedTuple):

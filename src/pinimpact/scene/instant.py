@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
 from ..errors import BoundReachedWarning, IrregularMotionError
 from ..robot.pinocchio_bridge import check_inertia
@@ -30,8 +31,6 @@ from .scene_impacts import SceneImpacts
 from .shape_watch import ShapeWatch
 from .start import check_start, left_by_steps
 from .switched_off import altered, held_contacts
-
-Array = NDArray[np.float64]
 
 Arriving = int | list[int] | None
 """Numbers of contacts or of a limit whose gap closes now."""

@@ -10,8 +10,9 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..errors import InputError, IrregularMotionError
 from ..robot.names import coordinate_names
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
@@ -36,7 +37,6 @@ from .start import state_at
 from .switched_off import altered_model
 from .trajectory import Trajectory
 
-Array = NDArray[np.float64]
 Report = Callable[[float, float], None]
 """report(t, duration), called after every step."""
 

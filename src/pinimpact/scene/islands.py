@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-Integers = NDArray[np.int64]
+from ..arrays import Integers
 
 
 def tree_roots(model: pin.Model) -> Integers:

@@ -9,9 +9,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ._kernels.tolerances import NEGLIGIBLE, PULLS
-
-Array = NDArray[np.float64]
 
 MOST_CHOSEN = 12
 """Contacts of which all choices of some are tried."""

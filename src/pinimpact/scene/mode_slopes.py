@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..robot.derivatives import check_joints
 from ..robot.pinocchio_bridge import Call, call_addresses
 from ._kernels.contact_forces import SLIP
@@ -17,8 +17,6 @@ from ._kernels.mode_slopes import slopes_along, speeds_along
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .forces import set_closed
-
-Array = NDArray[np.float64]
 
 
 class Slip(NamedTuple):

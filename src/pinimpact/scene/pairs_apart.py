@@ -10,14 +10,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._compile.jit import compile_all
+from ..arrays import Array
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import call_addresses
 from ._kernels.pair_bounds import stay_apart, turn_to_gaps
 from .dense_step import DenseStep
 from .layout import SceneLayout
-
-Array = NDArray[np.float64]
 
 
 @functools.cache

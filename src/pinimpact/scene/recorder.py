@@ -7,16 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..robot.forest import potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from .dense_step import DenseStep
 from .mode_intervals import ModeIntervals
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
 from .trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 
 class Mark(NamedTuple):

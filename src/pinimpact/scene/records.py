@@ -11,8 +11,8 @@ from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.derivatives import Boundary
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
@@ -21,8 +21,6 @@ from ..contact_space.solve import solve_impact
 from ..display import short_repr
 from ..errors import BoundReachedWarning
 from ..robot.contact import Contact
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,12 +6,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Integers
 from ._kernels.workspace import SceneWorkspace
 from .forces import StepForces
 from .hybrid_state import HybridState
 from .islands import tree_roots
-
-Integers = NDArray[np.int64]
 
 
 class Rest:

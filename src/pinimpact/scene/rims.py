@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import SimulationError
 from ..robot.placed_robot import PlacedRobot
 from ..robot.touching import flat_rim, tilt_of_rim
@@ -16,8 +17,6 @@ from ._kernels.contact_forces import FREE
 from ._kernels.tolerances import NEARLY_SINGULAR
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
-
-Array = NDArray[np.float64]
 
 
 class Rims:

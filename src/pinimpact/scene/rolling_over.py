@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..geometry._kernels.constants import (
     AXES,
     CONSTANTS,
@@ -26,8 +26,6 @@ from ..robot.forest import joint_jacobian
 from ..robot.names import motion_signs
 from ..robot.shape_pair import ShapePair, closest_points
 from .dense_step import DenseStep
-
-Array = NDArray[np.float64]
 
 
 def rolls_over(

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import finite_array, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
@@ -29,8 +30,6 @@ from .options import Options
 from .records import EventRecord, ImpactRecord
 from .rolling_over import rolls_over
 from .scene import Scene
-
-Array = NDArray[np.float64]
 
 SLOWEST = 1e3
 """A gap that closes slower than so many errors of a velocity closes at no certain time."""

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import above_zero, as_tuple, at_least_zero, coefficient, counted, in_short
 from ..contact_space.simultaneous import find_policy
 from ..display import changed_fields
@@ -30,8 +30,6 @@ from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
 from .layout import SceneLayout
 from .model_numbers import check_numbers
-
-Array = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665
 

@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK
+from ..arrays import Array
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -37,8 +38,6 @@ from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
 from .scene import Scene
 from .switched_off import locked_joints
-
-Array = NDArray[np.float64]
 
 _compiled: set[tuple[bool, bool]] = set()
 

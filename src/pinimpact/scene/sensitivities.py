@@ -15,6 +15,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK, ROUNDOFF
+from ..arrays import Array
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
@@ -31,8 +32,6 @@ from .records import EventRecord, ImpactRecord, Sensitivity
 from .saltation import SLOWEST, Parameter, Saltation
 from .scene import Scene
 from .step_slopes import StepSlopes
-
-Array = NDArray[np.float64]
 
 STEEP = 0.4
 """Where the speed of slip falls below this part of what it is elsewhere in an interval, it is halved."""

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import cross
@@ -26,8 +26,6 @@ from ._kernels.tolerances import SHORT_WHILE, VISIBLE
 from .crossing import crossing
 from .dense_step import DenseStep
 from .touching_points import Placed, TouchingPoints, Watched
-
-Array = NDArray[np.float64]
 
 THIRDS = 8
 """Parts of a step from which the third rates of corners' heights are estimated."""

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import finite_array
 from ..errors import InputError
 from ..robot.data_cache import checked_configuration, data_cache
@@ -18,8 +19,6 @@ from ..robot.tolerances import HELD_TOLERANCE
 from ._kernels.tolerances import HELD_GAP, START_ROUNDING, STEPS_SLACK, STEPS_TOUCH
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
-
-Array = NDArray[np.float64]
 
 
 def check_start(

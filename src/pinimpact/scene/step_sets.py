@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK
+from ..arrays import Array, Integers
 from .step_taken import StepTaken
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 TIED = 1e-6
 """Part of a bound of friction, of the largest velocity or of a change below which a step is at a tie: some

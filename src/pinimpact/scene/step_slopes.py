@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.derivatives import Boundary
 from ..robot.derivatives import check_joints
 from ..robot.forest import mass_matrix
@@ -22,9 +23,6 @@ from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
 from .step_sets import CLOSES, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
 from .step_taken import StepTaken
-
-Array = NDArray[np.float64]
-
 
 DRIFTS = 1e-2
 """Part of a change by which that of a closed gap may be more than zero: constraint drift, some h ω."""

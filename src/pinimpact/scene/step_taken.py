@@ -6,15 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..arrays import Array, Bools
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ._kernels.step_rows import StepResult, StepRows
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 class Removal(NamedTuple):

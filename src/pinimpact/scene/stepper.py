@@ -8,8 +8,9 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from .integrator import Integrator
@@ -18,8 +19,6 @@ from .scene import Scene
 from .sensitivities import Linearization, MotionSlopes, Sensitivities, check_supported
 from .simulation import integrator_of, stop
 from .trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 _SLOPES: WeakKeyDictionary[Integrator, MotionSlopes] = WeakKeyDictionary()
 

@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.augmented_newton import VelocityProblem
+from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
@@ -34,9 +35,6 @@ from .integrator import Integrator
 from .rest import Rest
 from .step_taken import Removal, StepTaken
 from .switched_off import locked_joints
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 TOGETHER = 1e-2
 """Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""

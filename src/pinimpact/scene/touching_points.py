@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape
@@ -23,8 +24,6 @@ from .dynamics import SceneDynamics
 from .hybrid_state import HybridState, Touching
 from .layout import SceneLayout
 from .pairs_apart import PairsApart
-
-Array = NDArray[np.float64]
 
 Placed = tuple[PlacedShape, PlacedShape]
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import choice, counted, in_short, near_matches, real_number, real_numbers
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
@@ -34,8 +35,6 @@ from .records import (
     group_notes,
 )
 from .trajectory_io import read_trajectory, write_trajectory
-
-Array = NDArray[np.float64]
 
 PARTS = (
     *("impacts", "events", "modes", "energy", "notes", "stepped"),

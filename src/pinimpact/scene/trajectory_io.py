@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import file_path, output_file
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
@@ -24,8 +24,6 @@ from ..robot.solids import Box, Shape
 from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
 from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note, SteppedInterval
-
-Array = NDArray[np.float64]
 
 FORMAT = 1
 

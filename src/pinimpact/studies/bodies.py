@@ -7,16 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import as_tuple, choice
 from ..errors import InputError
 from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
 from .estimate import Identified, fit, group_numbers
 from .found import FoundImpacts, free_body
-
-Array = NDArray[np.float64]
 
 _AXES = "xyz"
 _ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from .. import checks
+from ..arrays import Array
 from ..checks import in_short, truth_value
 from ..errors import InputError
 from .estimate import Identified
 from .rolling_out import RollOuts
-
-Array = NDArray[np.float64]
 
 RESAMPLES = 2000
 """Of a bootstrap; the ends of a 95 % interval then have errors of a twentieth of its length."""

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from ..arrays import Array
 from ..checks import choice, counted, output_file, real_numbers, whole_number
 from ..errors import InputError
 from ..scene.trajectory import Trajectory
 from ..tables import data_frame
-
-Array = NDArray[np.float64]
 
 RESAMPLES = 200
 """Number of resamples for the intervals of Sobol' indices, which is enough for two digits of their width."""

@@ -13,10 +13,9 @@ from scipy.stats import qmc, t
 
 from .. import checks
 from .._numeric.tolerances import HALF_DIGITS
+from ..arrays import Array
 from ..checks import choice, finite_array, in_short, real_numbers
 from ..errors import InputError
-
-Array = NDArray[np.float64]
 
 STARTS = 16
 """Points of a Halton sequence in the bounds, of which the one with the least cost is the start."""

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from ..arrays import Array
 
 ITERATIONS = 2
 """Of Gauss and Newton, from a start that is off by the noise of one difference: each squares the error."""

@@ -10,12 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..checks import choice, counted, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..robot.matrices import ContactMatrices, contact_matrices
 from ..scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

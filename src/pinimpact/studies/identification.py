@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..checks import choice, coefficient, finite_array
 from ..contact_space.batch import BatchSolution, solve_impacts
 from ..contact_space.laws import LAWS
@@ -25,8 +26,6 @@ from .motion_fit import fit_motions
 from .one_step import ONE_STEP, OneStepSolution, solve_one_step
 from .recordings import Motion
 from .stiff_joints import StiffJoints, stiff_joints
-
-Array = NDArray[np.float64]
 
 RANGES = {"friction": (0.0, np.inf), "restitution": (0.0, 1.0)}
 STIFFENING = {"stiffening": (0.0, 1.0)}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import sqrtm
 from scipy.optimize import Bounds, minimize
 
+from ..arrays import Array
 from ..checks import choice, in_short, truth_value
 from ..errors import InputError
 from ..scene.scene import Scene
@@ -27,8 +28,6 @@ from .estimate import (
 from .flights import Body
 from .found import free_body
 from .rolling_out import Start, differences, starts_of
-
-Array = NDArray[np.float64]
 
 SAMPLES = 32
 """Frames of a motion that count, at equal distances: poses change little from one to the next."""

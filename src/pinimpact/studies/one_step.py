@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._numeric.tolerances import HALF_DIGITS
+from ..arrays import Array
 from ..status import Flag, Status
-
-Array = NDArray[np.float64]
 
 ONE_STEP = ("moreau", "convex")
 """Coulomb's law and Newton's restitution on the velocities after the impact; the same with the convex

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import finite_array
 from ..errors import InputError
 from ..scene.scene import Scene
 from .estimate import Identified, symmetric
-
-Array = NDArray[np.float64]
 
 DRAWS = 10_000
 """Draws outside the bounds of parameters after which a distribution has none inside."""

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from ..arrays import Array
 from ..checks import as_tuple, at_least_zero, coefficient, finite_array, whole_number
 from ..errors import InputError, UnknownNameError
 from ..scene.scene import Scene
@@ -23,7 +24,6 @@ from .posterior import Normal, covariance_root, posterior
 if TYPE_CHECKING:
     from ..visual.html_replay import Replay
 
-Array = NDArray[np.float64]
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from ..arrays import Array
 from ..checks import above_zero, as_tuple, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..scene.scene import Scene
 from .flights import Body, Flight, fit_flight
 from .found import FoundImpacts, free_body
-
-Array = NDArray[np.float64]
 
 FRAMES = 5
 """Of the shortest flight: a state has six numbers of rotation, so that three frames leave two residuals."""

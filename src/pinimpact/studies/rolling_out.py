@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ..arrays import Array
 from ..checks import truth_value
 from ..errors import InputError
 from ..robot.matrices import contact_geometry
@@ -18,8 +19,6 @@ from ..scene.simulation import simulate
 from .flights import Body, fit_flight
 from .found import free_body
 from .recordings import CLEARANCE, FRAMES, Motion, checked_motions, flights_of, generalized
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

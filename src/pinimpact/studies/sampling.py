@@ -10,16 +10,15 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
+from ..arrays import Array
 from ..checks import choice, counted, finite_array, in_short, near_matches, whole_number
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..robot.names import coordinate_names
 from ..scene.scene import Scene
 from .posterior import Posterior
-
-Array = NDArray[np.float64]
 
 COEFFICIENTS = ("friction", "restitution", "sliding_friction", "stiffness")
 """Fields of `Contact` that can vary, of all contacts or of one, "friction:foot"."""

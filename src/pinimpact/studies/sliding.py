@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from ..arrays import Array
 from ..checks import above_zero, as_tuple, choice
 from ..errors import InputError
 from ..geometry.plane import Plane
@@ -20,8 +20,6 @@ from .estimate import Identified, fit, group_numbers
 from .flights import Body
 from .found import free_body
 from .recordings import FRAMES, Motion, checked_motions, gaps
-
-Array = NDArray[np.float64]
 
 _NAMES = {"sliding_friction": ("sliding_friction",), "gravity": ("gravity:t1", "gravity:t2")}
 

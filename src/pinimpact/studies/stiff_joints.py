@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError
 from ..robot.matrices import ContactMatrices
 from ..robot.names import mobilities, single_joints
 from ..scene.scene import Scene
 from .estimate import general_first
-
-Array = NDArray[np.float64]
 
 
 class StiffJoints(NamedTuple):

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import above_zero, finite_array, in_short, output_file
 from ..errors import InputError
 from ..geometry.collision_shapes import extreme_points
@@ -47,8 +48,6 @@ from .robot_shapes import (
 from .shapes_in_contact import bodies_of, contacts_to_draw, lit_shapes
 from .surface_shapes import surface_as_data
 from .video import write_video
-
-Array = NDArray[np.float64]
 
 HOLD = 1.5
 """Duration of the pause within an impact [s]."""

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
 from ..robot.many_impact import ManyHit
 from ..scene.records import ImpactRecord
 from .smooth_path import invariant_directions, many_path, smooth_path
-
-Array = NDArray[np.float64]
 
 EVERY = 3
 """A page has one of this many points of a smooth path."""

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..robot.forest import data_of, forward_kinematics, frame_placement
 from .impact_marks import short
 from .page_file import Recorder, packed
 from .shapes_in_contact import surface_points
-
-Array = NDArray[np.float64]
 
 NEUTRAL = (0.62, 0.64, 0.67)
 """Colour of shapes without any."""

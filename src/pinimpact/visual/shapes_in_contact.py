@@ -8,15 +8,13 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..geometry.collision_shapes import tips_of
 from ..robot.contact import Contact
 from ..scene.trajectory import Trajectory
 from .impact_marks import short
 from .page_file import packed
-
-Array = NDArray[np.float64]
 
 ROUND = 24
 """Number of points of a drawn circle."""

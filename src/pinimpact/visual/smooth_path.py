@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import EPS, HALF_DIGITS
+from ..arrays import Array
 from ..contact_space.many_solution import ManyPath, ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Path, Solution
 from ..contact_space.solve import solve_impact
-
-Array = NDArray[np.float64]
 
 
 def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:

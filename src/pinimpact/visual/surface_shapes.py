@@ -7,16 +7,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, contact_axes
 from ..robot.names import frame_id
 from ..robot.solids import Box
 from .impact_marks import short
-
-Array = NDArray[np.float64]
 
 MARGIN, THICKNESS = 0.12, 0.015
 """Margin of a plate beyond the paths of the contacts, and its thickness, relative to the size of the

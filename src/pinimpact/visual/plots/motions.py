@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...errors import InputError
 from ...robot.forest import data_of
 from ...robot.names import model_of
@@ -20,7 +20,6 @@ from .style import BLACK, COMPRESSION, CYCLE, FLOW, GREEN, RESTITUTION, RESUMED,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 POINTS = 800
 """Smallest number of points over a motion."""

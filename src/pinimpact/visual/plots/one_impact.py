@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...checks import in_short
 from ...contact_space.many_solution import ManySolution
@@ -21,8 +20,6 @@ from .style import BLACK, COMPRESSION, FLOW, GREEN, RESTITUTION, RESUMED, STICK,
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 
 Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem

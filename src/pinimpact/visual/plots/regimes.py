@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...checks import in_short
 from ...contact_space.batch import BatchSolution, solve_impacts
 from ...contact_space.problem import ImpactProblem
@@ -19,7 +20,6 @@ from .style import BLACK, axes_for, legend
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 REGIMES = (
     ("no impact", "#ffffff"),

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._numeric.tolerances import HALF_DIGITS
+from ...arrays import Array
 from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
 from ..impact_marks import OneImpact
 from ..smooth_path import smooth_path
 from .one_impact import check_alone, parts, solved
 from .style import BLACK, COMPRESSION, GREEN, RESTITUTION, STICK, axes_for, legend
-
-Array = NDArray[np.float64]
 
 
 def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
