@@ -37,11 +37,7 @@ def real_numbers(field: str, value: Any, expected: str = "an array of real numbe
             return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError):
         pass
-    raise InputError(
-        f"{field}: {in_short(value)} given; {expected} is expected",
-        field=field,
-        value=value,
-    )
+    raise InputError(f"{field}: {in_short(value)} given; {expected} is expected", field=field, value=value)
 
 
 _NO_REALS = (

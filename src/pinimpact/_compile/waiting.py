@@ -57,10 +57,7 @@ def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
         if kept
         else "in every process, because no cache folder is writable (see NUMBA_CACHE_DIR)"
     )
-    LOG.warning(
-        "%s: compiling kernels for %s, %s: up to about %.0f s",
-        *(PACKAGE, purpose, often, seconds),
-    )
+    LOG.warning("%s: compiling kernels for %s, %s: up to about %.0f s", *(PACKAGE, purpose, often, seconds))
 
 
 def reached(kernels: Iterable[Any]) -> set[FunctionType]:

@@ -44,9 +44,7 @@ def main() -> None:
 @click.option("--robot", "named", hidden=True)
 @click.option("--frame", help="Frame that strikes, by name or id.  [default: a hand or a foot]")
 @click.option(
-    "--speed",
-    type=float,
-    help="Speed of the contact point at impact [m/s].  [default: 1, or 2.1 in a fall]",
+    "--speed", type=float, help="Speed of the contact point at impact [m/s].  [default: 1, or 2.1 in a fall]"
 )
 @click.option(
     "--direction",

@@ -91,8 +91,7 @@ class Demo:
             if impact.source == self.contact.label:
                 return impact
         raise SimulationError(
-            f"{self.contact.label}: no impact in {self.trajectory.duration:.3g} s",
-            partial=self.trajectory,
+            f"{self.contact.label}: no impact in {self.trajectory.duration:.3g} s", partial=self.trajectory
         )
 
 

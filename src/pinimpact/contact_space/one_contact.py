@@ -116,7 +116,5 @@ def _record(run: Run, inputs: Inputs) -> Path:
         points = np.empty((4 * len(points), 6))
     points = points[:count]
     return Path(
-        normal_impulse=points[:, 0].copy(),
-        velocity=points[:, 1:4].copy(),
-        impulse=points[:, [4, 5, 0]],
+        normal_impulse=points[:, 0].copy(), velocity=points[:, 1:4].copy(), impulse=points[:, [4, 5, 0]]
     )

@@ -13,10 +13,7 @@ import numpy as np
 
 from .._numeric.tolerances import ROUNDING
 from ..checks import choice
-from ..errors import (
-    BoundReachedWarning,
-    UnknownNameError,
-)
+from ..errors import BoundReachedWarning, UnknownNameError
 from ._kernels.tolerances import MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs

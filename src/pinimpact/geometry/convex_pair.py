@@ -14,16 +14,7 @@ from numpy.typing import NDArray
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Integers
 from .convex_shape import PlacedShape, cross
-from .tolerances import (
-    CLOSE,
-    COAL_ERROR,
-    COINCIDE,
-    FACING,
-    GJK,
-    LOCAL,
-    PARALLEL,
-    TIE,
-)
+from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, PARALLEL, TIE
 
 
 class Gap(NamedTuple):

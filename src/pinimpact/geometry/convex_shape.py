@@ -152,12 +152,7 @@ def capsule(radius: float, half_length: float) -> ConvexShape:
 
     ends = np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]])
     return ConvexShape(
-        ends,
-        (),
-        np.array([[0, 1]]),
-        np.zeros((0, 3)),
-        float(radius),
-        coal.Capsule(radius, 2.0 * half_length),
+        ends, (), np.array([[0, 1]]), np.zeros((0, 3)), float(radius), coal.Capsule(radius, 2.0 * half_length)
     )
 
 

@@ -116,9 +116,7 @@ class RobotRows:
             # columns at right angles: their left inverse, which takes no notice of changes off the space
             by_coordinates = d.dv_dq @ (rates / (rates**2).sum(axis=0)).T
             for out, value in zip(
-                found,
-                (d.v, by_coordinates, d.dv_dv, d.dv_dfriction, d.dv_drestitution),
-                strict=True,
+                found, (d.v, by_coordinates, d.dv_dv, d.dv_dfriction, d.dv_drestitution), strict=True
             ):
                 out[i] = value
         return _reshaped(found, lead)

@@ -53,10 +53,7 @@ def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact]
 
 
 def warn_of_pulls(
-    geometries: Sequence[ContactGeometry],
-    held: Sequence[Contact],
-    impulses: Array,
-    impulse: Array,
+    geometries: Sequence[ContactGeometry], held: Sequence[Contact], impulses: Array, impulse: Array
 ) -> None:
     """Warn of held contacts that pull on their surfaces, where the caller of `impact` stands.
 

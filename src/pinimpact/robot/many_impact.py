@@ -78,12 +78,7 @@ class ManyHit:
 
 
 def impact_at_many(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contacts: Contacts,
-    asked: ImpactOptions,
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contacts: Contacts, asked: ImpactOptions
 ) -> ManyHit:
     """Compute the impact of a robot at n contacts; see `impact`."""
     held = check_many(contacts, asked.held)

@@ -210,11 +210,7 @@ def checked_matrices(
 
 
 def _responses(
-    placed: PlacedRobot,
-    mass: Array,
-    jacobian: Array,
-    anchors: Sequence[ContactGeometry],
-    mobility: Array,
+    placed: PlacedRobot, mass: Array, jacobian: Array, anchors: Sequence[ContactGeometry], mobility: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian.
 

@@ -181,11 +181,7 @@ def make_plan(
             f"{counted(limits, 'finite bound')}, one-sided impacts with e = {limit_restitution:g}",
             "no joint has a finite bound",
         ),
-        "held contacts": (
-            bool(held),
-            f"held: {_in_words(held)}",
-            "no contact is held",
-        ),
+        "held contacts": (bool(held), f"held: {_in_words(held)}", "no contact is held"),
         "locked joints": (
             bool(locked),
             f"locked during impacts: {', '.join(map(str, locked))}",
@@ -268,11 +264,7 @@ def _of_contacts(contacts: Sequence[Contact], unreachable: tuple[str, ...]) -> _
             + (f"; out of reach and not watched: {away}" if unreachable else ""),
             f"out of reach of their surfaces: {away}" if unreachable else "there are no contacts",
         ),
-        "moving surfaces": (
-            bool(moving),
-            f"the surface moves at {moving}",
-            "no surface moves by itself",
-        ),
+        "moving surfaces": (bool(moving), f"the surface moves at {moving}", "no surface moves by itself"),
     }
 
 

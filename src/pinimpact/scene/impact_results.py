@@ -75,12 +75,7 @@ class Solved(NamedTuple):
 
 
 def group_impact(
-    v: Array,
-    response: Array,
-    solved: Solved,
-    sources: Sequence[int],
-    axes: Sequence[Array],
-    least: float,
+    v: Array, response: Array, solved: Solved, sources: Sequence[int], axes: Sequence[Array], least: float
 ) -> GroupImpact:
     """Return what a solution comes to.
 

@@ -234,13 +234,7 @@ class SceneImpacts:
         return group_impact(v, response, solved, sources, axes, 0.0)
 
     def without_forces(
-        self,
-        t: float,
-        q: Array,
-        v: Array,
-        touching: Sequence[int],
-        slips: NDArray[np.bool_],
-        slack: float,
+        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: NDArray[np.bool_], slack: float
     ) -> GroupImpact | None:
         """Resolve the impact without collision where no forces let contacts slip on. (theory.md, 13)
 

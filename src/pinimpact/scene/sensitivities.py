@@ -270,8 +270,7 @@ class MotionSlopes:
             forces = _forces_that_stop(stopped[:, n:], stopped[:, :n], nodes)
             rates = rates[:, :n] - rates[:, n:] @ forces
         return changes_at_end(
-            *(h, *rule[1:], turned, len(x), self._given),
-            *(nodes.inverse, start, moved, rates),
+            *(h, *rule[1:], turned, len(x), self._given), *(nodes.inverse, start, moved, rates)
         )
 
 

@@ -163,12 +163,7 @@ class ShapeWatch(TouchingPoints):
         return min(watched.points, key=lambda i: MEMBERS_PREFERRED.index(watched.points[i].touch.kind))
 
     def _next_corner(
-        self,
-        watched: Watched,
-        at: Callable[[float], PairState],
-        step: DenseStep,
-        end: float,
-        peak: Array,
+        self, watched: Watched, at: Callable[[float], PairState], step: DenseStep, end: float, peak: Array
     ) -> Advance | None:
         """Return where another corner comes to the plane of contact, or None if there is none."""
         i = self._guarding(watched)

@@ -303,11 +303,7 @@ def _check_solved(batch: _Batch) -> None:
 
 
 def _of_arrays(
-    found: Any,
-    law: str,
-    covariance: ArrayLike | None,
-    free: Mapping[str, Any],
-    fixed: Mapping[str, float],
+    found: Any, law: str, covariance: ArrayLike | None, free: Mapping[str, Any], fixed: Mapping[str, float]
 ) -> _Rows:
     """Return impacts given by (W, v⁻, v⁺)."""
     if stiff := _stiffened(free):

@@ -16,15 +16,7 @@ from ..arrays import Array
 from ..checks import choice, in_short, truth_value
 from ..errors import InputError
 from ..scene.scene import Scene
-from .estimate import (
-    LOSSES,
-    Identified,
-    best_start,
-    fit,
-    group_numbers,
-    robust_scale,
-    with_covariance,
-)
+from .estimate import LOSSES, Identified, best_start, fit, group_numbers, robust_scale, with_covariance
 from .flights import Body
 from .found import free_body
 from .rolling_out import Start, differences, starts_of

@@ -63,13 +63,7 @@ class RollOuts:
         )
 
 
-def rollouts(
-    scene: Scene,
-    held_out: Sequence[Motion],
-    *,
-    restart: bool = False,
-    **options: Any,
-) -> RollOuts:
+def rollouts(scene: Scene, held_out: Sequence[Motion], *, restart: bool = False, **options: Any) -> RollOuts:
     """Simulate recorded motions of a free body from their first flights, and measure the errors.
 
     Args:

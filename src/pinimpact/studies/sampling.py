@@ -93,9 +93,7 @@ class Sampling:
             else:
                 choices = near_matches(kind, (*COEFFICIENTS, "q0", "v0"))
                 raise UnknownNameError(
-                    f"over: {in_short(part)} is not a parameter; {choices}",
-                    field="over",
-                    value=part,
+                    f"over: {in_short(part)} is not a parameter; {choices}", field="over", value=part
                 )
             if of and of not in known:
                 raise UnknownNameError(

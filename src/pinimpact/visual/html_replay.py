@@ -380,11 +380,7 @@ def _page(
         "surfaces": surfaces,
         "lit": lit,
         "contacts": [
-            {
-                "name": contact.label,
-                "path": packed(way),
-                "forces": None if force is None else packed(force),
-            }
+            {"name": contact.label, "path": packed(way), "forces": None if force is None else packed(force)}
             for contact, way, force in zip(contacts, ways, forces, strict=True)
         ],
         "modes": modes,

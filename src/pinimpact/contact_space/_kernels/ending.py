@@ -87,10 +87,7 @@ def turn_back(view, x1, x2):
     return view.lean2 * x1 + view.lean1 * x2, view.lean2 * x2 - view.lean1 * x1
 
 
-@declared(
-    *(View, Problem, int, int, int, THREE, THREE, float),
-    *(FLOAT_ROWS, int, FLOAT_ROWS, int),
-)
+@declared(*(View, Problem, int, int, int, THREE, THREE, float), *(FLOAT_ROWS, int, FLOAT_ROWS, int))
 @inlined_bitcode
 def finish(
     view, problem, status, flags, iterations, velocity, impulse, compressed, trace, rows, path, points

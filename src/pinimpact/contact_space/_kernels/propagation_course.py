@@ -12,12 +12,7 @@ from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import repeated
 from ..._numeric.tolerances import ROUNDOFF
-from .codes import (
-    HELD,
-    NONE_YET,
-    OPEN,
-    SLIPPING,
-)
+from .codes import HELD, NONE_YET, OPEN, SLIPPING
 from .first_fall import NEVER
 from .plastic import come_to_rest, end_plastically, plastic_impulses_now
 from .propagation_advance import NO_ROW, advance, record, record_step, time_power

@@ -12,14 +12,7 @@ from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
 from ..._numeric.tolerances import EXACT, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
-from .propagation_series import (
-    bounded_unknowns,
-    expand,
-    force_inverse,
-    hold,
-    natural_pace,
-    unknown_after,
-)
+from .propagation_series import bounded_unknowns, expand, force_inverse, hold, natural_pace, unknown_after
 from .propagation_slip_onset import align, begin_at_bound
 from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
 from .tolerances import AHEAD, BEGINS, FAR_FROM_BOUNDS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED, WEAK

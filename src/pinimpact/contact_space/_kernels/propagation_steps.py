@@ -100,10 +100,7 @@ class Contacts(NamedTuple):
     creep: float
 
 
-@declared(
-    *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int),
-    *(FLOATS, FLOAT_ROWS, FLOAT_ROWS),
-)
+@declared(*(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int), *(FLOATS, FLOAT_ROWS, FLOAT_ROWS))
 @jit
 def step_through(
     rows, start, friction, restitution, stiffness, exponent, accuracy, most, impulse, works, path

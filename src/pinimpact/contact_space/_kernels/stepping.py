@@ -29,14 +29,7 @@ from .codes import (
 from .contact_problem import PROCEEDS, prepare
 from .ending import followed, no_result, plain, without_impact
 from .ledger import close_move, left_to_gain, new_ledger
-from .moves import (
-    State,
-    frictionless_course,
-    leave_zero_slip,
-    mode_flag,
-    straight_move,
-    tangential_velocity,
-)
+from .moves import State, frictionless_course, leave_zero_slip, mode_flag, straight_move, tangential_velocity
 from .recording import record_move, record_point
 from .slip_steps import At, Stepping, slip_move
 from .stiff_step import STAGES

@@ -201,9 +201,7 @@ def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
             m = before[m]
 
 
-@declared(
-    *(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS, bool, FLOAT_ROWS),
-)
+@declared(*(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS, bool, FLOAT_ROWS))
 @jit
 def velocity_slopes(J, joint, parent, tip, base, at, shifts, motions, relative, out):
     """Fill ∂(J x)/∂q (3, nv), or that of J x less what the surface does beyond its carrier. (D19)

@@ -29,11 +29,7 @@ def cross(a1, a2, a3, b1, b2, b3):
 @inlined
 def rotate(R, a, b, c):
     """Return a vector in the axes that R is given in."""
-    return (
-        R[0] * a + R[3] * b + R[6] * c,
-        R[1] * a + R[4] * b + R[7] * c,
-        R[2] * a + R[5] * b + R[8] * c,
-    )
+    return (R[0] * a + R[3] * b + R[6] * c, R[1] * a + R[4] * b + R[7] * c, R[2] * a + R[5] * b + R[8] * c)
 
 
 @inlined

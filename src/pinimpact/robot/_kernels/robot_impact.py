@@ -152,13 +152,7 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
         solve(lower, parents, scratch[n + 3 :])
     for j in range(n):
         out[j] = v[j] + delta[j]
-    rest = (
-        *w,
-        *relative,
-        *geometry[9:12],
-        *geometry[:9],
-        *(a1, a2, a3, p1, p2, p3, pc, scale),
-    )
+    rest = (*w, *relative, *geometry[9:12], *geometry[:9], *(a1, a2, a3, p1, p2, p3, pc, scale))
     for i in range(SINGULAR):
         out[n + i] = rest[i]
     return status, flags, iterations, beyond

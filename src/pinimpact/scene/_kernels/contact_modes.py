@@ -19,11 +19,7 @@ from .active_set import close, stop_along
 from .approach import PRESSED, SLIDES, TOUCHES
 from .coming_to_rest import come_to_rest
 from .contact_forces import FREE, HELD, SLIP, STICK, delassus_of_rows
-from .dynamics import (
-    evaluate_without_contacts,
-    invert_mass_matrix,
-    set_state,
-)
+from .dynamics import evaluate_without_contacts, invert_mass_matrix, set_state
 from .slip import CERTAIN, behind
 from .tolerances import AT_BOUND, STILL
 from .touching_rows import (

@@ -129,10 +129,7 @@ def slopes_along(
     return by_state, response, inverse, by_friction, turning, moved
 
 
-@declared(
-    *(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS),
-    *(FLOAT_STACK, bool, FLOATS),
-)
+@declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool, FLOATS))
 @jit
 def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, known):
     """Return the speeds (s, k) of what is closed at some times within a step, zero where it does not slip.

@@ -71,8 +71,7 @@ def separations(
 
 
 @declared(
-    *(INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
-    *(FLAGS, FLOATS),
+    *(INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS), *(FLAGS, FLOATS)
 )
 @jit
 def turn_to_gaps(calls, placements, joints, vertices, ranges, radii, directions, wanted, out):
