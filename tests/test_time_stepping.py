@@ -20,7 +20,7 @@ from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
 from pinimpact.scene._kernels.step_impulses import step_impulses
 
-from .scene_models import UP, G, ball, box_on, hull_mesh, pendulum, slider, unbounded
+from .scene_models import UP, G, ball, box_on, free_body, hull_mesh, pendulum, slider, unbounded
 
 FLOOR = Plane()
 
@@ -167,6 +167,20 @@ def test_a_locked_joint_takes_no_part_in_an_impact_without_restitution():
     exact, trajectory = simulate(scene, q, [0.0, 0.0], 0.4), step(scene, q, [0.0, 0.0], 0.4, 1e-4)
     assert trajectory.impacts[0].v_after == pytest.approx(exact.impacts[0].v_after, abs=1e-3)
     assert trajectory.impacts[0].v_after[1] == trajectory.impacts[0].v_before[1]
+
+
+def test_a_held_rod_bounces():
+    inertia = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.eye(3) / 12.0)
+    hinge = Contact("tip0", Plane((0.0, 0.0, 0.5)))
+    end = Contact("tip1", FLOOR, restitution=0.5)
+    scene = Scene(free_body(inertia, [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]), end, held=hinge)
+    names = ["state"]
+    trajectory = step(scene, [0, 0, 0.5, *UP], np.zeros(6), 0.5, 1e-3, sensitivities=names)
+    hit = trajectory.impacts[0]
+    fallen = math.sqrt(3.0 * G * 0.5)  # ω² I/2 = m g h/2, I = 1/3
+    assert np.linalg.norm(hit.v_before[3:]) == pytest.approx(fallen, rel=1e-3)
+    assert hit.v_after[3:] == pytest.approx(-0.5 * hit.v_before[3:], abs=1e-2 * fallen)
+    assert np.isfinite(trajectory.sensitivity(0.5).state).all()
 
 
 def test_a_stack_that_is_aligned_stands_and_shares_its_load_alike():

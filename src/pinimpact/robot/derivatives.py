@@ -197,7 +197,7 @@ def impact_derivatives(
             from .many_derivatives import derivatives_at_many
 
             return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
-    rest = check_held(held), locked, True
+    rest = _held_at_rest(model, data, q, v, held), locked, True
     block, boundary = _differentiated(model, data, q, v, contact, *rest)
     if side is not None and np.isnan(block).any():
         own, cache = model_of(model), data_cache(model_of(model), data)
@@ -240,9 +240,22 @@ def impact_rows(
         world axes [N s]; columns without derivative are NaN.
     """
     dt = above_zero("dt", dt)
-    block, _ = _differentiated(model, data, q, v, contact, check_held(held), locked, False)
+    rest = _held_at_rest(model, data, q, v, held), locked, False
+    block, _ = _differentiated(model, data, q, v, contact, *rest)
     nv = len(block) - 3
     return dt * block[:, nv : 2 * nv], block[:, -1].copy()
+
+
+def _held_at_rest(
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, held: Sequence[Contact]
+) -> tuple[Contact, ...]:
+    """Return held contacts, which have to be at rest."""
+    held = check_held(held)
+    if held:
+        placed = PlacedRobot(model_of(model), data, q)
+        v = finite_array("v", v, (placed.model.nv,))
+        check_at_rest([placed.geometry(anchor) for anchor in held], held, v)
+    return held
 
 
 def _differentiated(
@@ -379,7 +392,6 @@ def _by_matrices(
     matrices, (e, slope) = contact_matrices(model, data, q, contact, held, locked), restitution
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
-    check_at_rest(matrices.held, held, v)
     problem = ImpactProblem(
         *(matrices.delassus, matrices.velocity(v), contact.friction, e, contact.law),
         velocity_scale=matrices.velocity_scale(v),

@@ -299,7 +299,7 @@ def _general_impact(
     if contact.geometry is None:
         if contact.rim > 0.0:
             check_rims(PlacedRobot(model, data, q), (contact,))
-        return _impact_in_steps(model, data, q, v, contact, asked)
+        return impact_in_steps(model, data, q, v, contact, asked)
     nearest = touching_points if is_pair(robot, contact) else touching_tips
     tips = nearest(robot, data, q, contact)
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
@@ -328,16 +328,26 @@ def restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array
     return contact.restitution_at(max(speed, 0.0)) if speed < math.inf else 0.0
 
 
-def _impact_in_steps(
-    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, asked: ImpactOptions
+def impact_in_steps(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    asked: ImpactOptions,
+    in_motion: bool = False,
 ) -> Hit:
-    """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply."""
+    """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply.
+
+    Held contacts of a motion are at rest but for its constraint drift, which the impact does not change.
+    """
     held = check_held(asked.held)
     matrices = contact_matrices(model, data, q, contact, held, asked.locked, asked.stiffening)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=6)
-    check_at_rest(matrices.held, held, v)
+    if not in_motion:
+        check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
     scale = matrices.velocity_scale(v)

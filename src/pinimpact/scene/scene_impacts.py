@@ -24,11 +24,12 @@ from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.forest import inverse_mass
 from ..robot.joint_limits import JointLimit
+from ..robot.many_impact import ImpactOptions
 from ..robot.matrices import ContactMatrices, ManyMatrices, checked_matrices, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.pinocchio_bridge import kinetic_energy
 from ..robot.placed_robot import PlacedRobot
-from ..robot.robot_impact import Hit, impact
+from ..robot.robot_impact import Hit, impact, impact_in_steps
 from ._kernels.contact_forces import FREE, SLIP
 from ._kernels.tolerances import LEAST_NUDGE, NUDGE, ROUNDING
 from .dynamics import SceneDynamics
@@ -145,7 +146,8 @@ class SceneImpacts:
             return impact(self._model, self._data, q, v, contact, locked=self._locked), ()
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            hit = impact(self._model, self._data, q, v, contact, held=self._held, locked=self._locked)
+            asked = ImpactOptions(self._held, self._locked, "exact", False, self.policy, None, {})
+            hit = impact_in_steps(self._model, self._data, q, v, contact, asked, in_motion=True)
         return hit, tuple(str(warning.message) for warning in caught)
 
     def _of_limit(
