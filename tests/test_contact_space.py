@@ -264,15 +264,16 @@ def test_an_approach_that_nothing_stops(law, friction):
     with pytest.raises(pinimpact.UnstoppableApproachError, match="-1") as caught:
         solve_impact(ImpactProblem(np.diag([1.0, 2.0, 0.0]), V, friction, 0.5, law))
     assert caught.value.field == "velocity"
-    with pytest.raises(pinimpact.UnstoppableApproachError):
+    with pytest.raises(pinimpact.UnstoppableApproachError, match="cannot move along the normal"):
         solve_impact(ImpactProblem(np.zeros((3, 3)), V, friction, 0.5, law))
 
 
 def test_an_approach_that_friction_blocks():
     """Rank two, struck with a velocity that W cannot produce: stick holds v₃ below zero for ever."""
     locked = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])
-    with pytest.raises(pinimpact.UnstoppableApproachError):
+    with pytest.raises(pinimpact.UnstoppableApproachError, match="give less friction"):
         solve_impact(ImpactProblem(locked, [0.0, 0.0, -1.0], 2.0, 0.5))
+    assert solve_impact(ImpactProblem(locked, [0.0, 0.0, -1.0], 0.5, 0.5)).status.ok
 
 
 @pytest.mark.parametrize("law", LAWS)

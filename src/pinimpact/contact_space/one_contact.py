@@ -56,10 +56,12 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
             value=inputs[:6],
         )
     if status == Status.UNSTOPPABLE:
+        why = "The mechanism cannot move along the normal; choose another contact frame, unlock a joint"
+        if inputs[5] > ZERO * max(map(abs, inputs[:6])):
+            why = "Friction keeps the normal velocity from rising; give less friction"
         raise UnstoppableApproachError(
             f"velocity: the contact approaches at {v3:.6g} m/s and no normal impulse can stop it: "
-            f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). The mechanism cannot "
-            "move along the normal; choose another contact frame, unlock a joint, or correct v",
+            f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). {why}, or correct v",
             field="velocity",
             value=v3,
         )
