@@ -48,6 +48,19 @@ def test_flat_landings_against_short_steps(corners, friction, restitution, u):
     assert np.abs(after - by_steps).max() < 4e-7
 
 
+@pytest.mark.parametrize("scale", [4.0**15, 4.0**-15])
+def test_a_landing_in_steps_is_the_same_for_a_grain_of_dust(scale):
+    w, jacobian = body(BOX, 0.05)
+    start = (jacobian @ np.array((0.5, 0.0, -1.0, 0.0, 0.0, 0.0))).reshape(-1, 3)
+    known = solve_impact(ImpactProblem(w, start, 0.5, 0.5, "energetic"), record=True)
+    assert "adaptive steps" in known.notes[-1]
+    solution = solve_impact(ImpactProblem(w * scale, start, 0.5, 0.5, "energetic"), record=True)
+    assert np.array_equal(solution.impulse * scale, known.impulse)
+    assert np.array_equal(solution.work.friction * scale, known.work.friction)
+    assert np.array_equal(solution.path.impulse * scale, known.path.impulse)
+    assert solution.notes == known.notes
+
+
 def test_the_recorded_path_of_a_flat_landing_obeys_the_laws():
     w, jacobian = body(BOX, 0.05)
     start, friction = jacobian @ np.array((0.5, 0.0, -1.0, 0.0, 0.0, 0.0)), 0.5

@@ -504,6 +504,23 @@ def test_scaling_of_speeds_and_masses():
     assert heavier == pytest.approx(after, rel=1e-9)
 
 
+@pytest.mark.parametrize("seed", [86, 204, 218])
+def test_grains_of_dust_collide_as_stones_do(seed):
+    rng, n = np.random.default_rng(seed), 4
+    jacobian = rng.normal(size=(3 * n, 6))
+    w, v = jacobian @ jacobian.T, (jacobian @ rng.normal(size=6)).reshape(n, 3)
+    mu, e = rng.choice([0.0, 0.3, 1.0], n), rng.choice([0.0, 0.3, 0.8], n)
+    stones = solve_impact(ImpactProblem(w, v, mu, e, "energetic"), record=True)
+    scale = 4.0**15
+    dust = solve_impact(ImpactProblem(w * scale, v, mu, e, "energetic"), record=True)
+    assert np.array_equal(dust.velocity, stones.velocity)
+    assert np.array_equal(dust.impulse * scale, stones.impulse)
+    assert np.array_equal(dust.work.restitution * scale, stones.work.restitution)
+    assert np.array_equal(dust.path.velocity, stones.path.velocity)
+    assert np.array_equal(dust.path.impulse * scale, stones.path.impulse)
+    assert [part.end * scale for part in dust.segments[0]] == [part.end for part in stones.segments[0]]
+
+
 def test_a_contact_split_in_two_is_one():
     jacobian, inverse, u, mu, e = draw(5)
     mu, e = mu[:2], np.array([0.5, 0.7])

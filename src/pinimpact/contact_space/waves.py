@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -202,15 +203,17 @@ def _pass(
     from ._kernels.propagation_steps import step_through
 
     n = len(inputs.velocity)
-    size = float(np.abs(inputs.velocity).max())
-    scaled = inputs.stiffness / np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3])
+    size, mobility = float(np.abs(inputs.velocity).max()), np.diag(inputs.delassus)
+    length = 2.0 ** round(0.5 * math.log2(mobility.max()))  # of rows; a power of two is exact
+    mass = 1.0 / length**2
+    scaled = inputs.stiffness / np.max(inputs.stiffness * mobility[2::3] * mass)
     impulse, works = np.empty(3 * n), np.empty((n, 3))
     steps = step_through(
-        *(rows, inputs.velocity.ravel() / size, inputs.friction, inputs.restitution, scaled),
+        *(rows / length, inputs.velocity.ravel() / size, inputs.friction, inputs.restitution, scaled),
         *(float(exponent), accuracy, MOST_SHORT_STEPS, impulse, works, path),
     )
-    path[:steps, 1:] *= size
-    return steps, np.concatenate([impulse * size, works.ravel() * size * size])
+    path[:steps, 1:] *= mass * size
+    return steps, mass * size * np.concatenate([impulse, works.ravel() * size])
 
 
 def _rows_of(delassus: Array) -> Array:

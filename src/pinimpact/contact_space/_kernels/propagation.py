@@ -53,22 +53,24 @@ def propagate(
     n = len(friction)
     order = _of_their_own(w, start, friction, restitution, stiffness)
     places = np.empty(3 * n, dtype=np.int64)
-    scale, most = 0.0, 0.0
+    scale = most = mobility = 0.0
     for j in range(n):
         for k in range(3):
             places[3 * j + k] = 3 * order[j] + k
             scale = max(scale, abs(start[3 * j + k]))
+            mobility = max(mobility, w[3 * j + k, 3 * j + k])
         most = max(most, stiffness[j] * w[3 * j + 2, 3 * j + 2])
     scale, most = scale if scale > 0.0 else 1.0, most if most > 0.0 else 1.0
+    unit = math.ldexp(1.0, math.frexp(mobility)[1] // 2 * 2)  # of W; a power of four is exact, and its root
     own_w, before, p = np.empty((3 * n, 3 * n)), np.empty(3 * n), np.zeros(3 * n)
     numbers, own_works = np.empty((3, n)), np.zeros((n, 3))
     for i in range(3 * n):
         before[i] = start[places[i]] / scale
         for k in range(3 * n):
-            own_w[i, k] = w[places[i], places[k]]
+            own_w[i, k] = w[places[i], places[k]] / unit
     for j in range(n):
         numbers[0, j], numbers[1, j] = friction[order[j]], restitution[order[j]]
-        numbers[2, j] = stiffness[order[j]] / most
+        numbers[2, j] = stiffness[order[j]] / most * unit
     u = before.copy()
     system = _system_of(own_w, numbers[0], numbers[1], numbers[2], exponent)
     stopped = follow(
@@ -91,12 +93,12 @@ def propagate(
         for k in range(3):
             gained += own_works[j, k]
             size += abs(own_works[j, k])
-            works[order[j], k] = own_works[j, k] * scale * scale
+            works[order[j], k] = own_works[j, k] * scale * scale / unit
     missed = max(missed, outside / max(strongest, TINY))
     for i in range(3 * n):
         v[places[i]] = u[i] * scale
-        impulse[places[i]] = p[i] * scale
-    _write_back(order, places, scale, rows[: counts[2]], path[: counts[3]])
+        impulse[places[i]] = p[i] * scale / unit
+    _write_back(order, places, scale, scale / unit, rows[: counts[2]], path[: counts[3]])
     return stopped, max(missed, gained / max(size, TINY))
 
 
@@ -122,18 +124,18 @@ def _of_their_own(w, v, friction, restitution, stiffness):
 
 
 @inlined
-def _write_back(order, places, scale, rows, path):
+def _write_back(order, places, speed, impulse, rows, path):
     """Bring rows (m, 5) and path (m, 6n + 1) into the numbering and the units of the problem."""
     m = len(places)
     for row in range(len(rows)):
         rows[row, 0] = order[int(rows[row, 0])]
-        rows[row, 3] *= scale
-        rows[row, 4] *= scale
+        rows[row, 3] *= impulse
+        rows[row, 4] *= impulse
     for row in range(len(path)):
         point = path[row].copy()
         for i in range(m):
-            path[row, 1 + places[i]] = point[1 + i] * scale
-            path[row, 1 + m + places[i]] = point[1 + m + i] * scale
+            path[row, 1 + places[i]] = point[1 + i] * speed
+            path[row, 1 + m + places[i]] = point[1 + m + i] * impulse
 
 
 @inlined

@@ -117,7 +117,7 @@ def step_through(
     taken again with a shorter length.
 
     Args:
-        rows: (3n, r) J, W = J Jᵀ.
+        rows: (3n, r) J, W = J Jᵀ, the largest of size one.
         start: (3n,) velocities before it, the largest of size one.
         friction: (n,) μ.
         restitution: (n,) e, of the energetic law, > 0.
