@@ -168,6 +168,18 @@ def test_touch_of_balls_and_capsules_in_closed_form() -> None:
     assert touch_time(crossed, lying) == pytest.approx(math.sqrt(2.0 * fall / 9.81), rel=1e-13)
 
 
+@pytest.mark.parametrize("size", [1e-4, 1e-2, 1.0])
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-4, 1e-2, 1.0])
+def test_capsules_that_cross_are_as_far_apart_as_their_lines(size, angle):
+    rod, turned = capsule(0.05 * size, 0.5 * size), pin.exp3(np.array([angle, 0.0, 0.0]))
+    there = np.array([0.3 * size, 0.0, 0.0])
+    for along in (0.0, 0.2 * size):  # where they cross, from the middle of both
+        beside = there + (np.eye(3)[2] - turned[:, 2]) * along
+        found = gap(rod.at(np.eye(3), np.zeros(3)), rod.at(turned, beside))
+        assert found.value == pytest.approx(0.2 * size, abs=1e-9 * size)
+        assert found.normal == pytest.approx([-1.0, 0.0, 0.0], abs=1e-6)
+
+
 @pytest.mark.parametrize("turned", [0, 1, 2])
 def test_box_falls_on_a_box_with_face_edge_or_corner(turned: int) -> None:
     tilt = STRAIGHT
