@@ -28,7 +28,6 @@ from ._kernels import (
     jamming,
     smooth_motion,
     step_dop853,
-    step_drives,
     step_radau,
 )
 from ._kernels.events import force_bound
@@ -340,9 +339,8 @@ _compiled: set[tuple[bool, bool, str | None]] = set()
 def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
     """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
 
-    The types of what they take are the same for every scene; only one with friction takes steps in which slip
-    turns, only one with drives, or damping that is stiff, steps of theirs; only where two can touch at one
-    instant impacts are resolved together.
+    The types of what they take are the same for every scene; only one with friction, drives, or damping that
+    is stiff takes implicit steps; only where two can touch at one instant impacts are resolved together.
 
     Args:
         rough: Whether a contact has friction.
@@ -377,8 +375,8 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
     ]
     if policy:
         kernels += [responses.taking_part, *find_policy(policy).kernels()]
-    if rough:
+    if rough or stiff:
         kernels.append(step_radau.attempt)
     if stiff:
-        kernels += [drives.set_saturation, step_drives.attempt]
+        kernels.append(drives.set_saturation)
     compile_all(*((kernel,) for kernel in kernels))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..errors import InputError, IrregularMotionError
 from ..robot.names import coordinate_names
-from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
+from ._kernels import smooth_motion, step_dop853, step_radau, stiff_drives
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
@@ -346,8 +346,9 @@ class Integrator:
 
     def _method(self, h: float) -> ModuleType:
         """Return the method for a step of a length [s]."""
-        other = step_drives if h * self.work.drive_rate > step_drives.STIFF else step_dop853
-        return step_radau if h * self.work.slip_stiffness > step_radau.STIFF else other
+        work = self.work
+        stiff = h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF
+        return step_radau if stiff else step_dop853
 
     def _complete(self, step: DenseStep, end: float) -> None:
         """Let a step end where it does, without an event; go on from there."""

@@ -34,7 +34,7 @@ from .slip import (
     stiffness_of_slip,
     turn_references,
 )
-from .step_drives import rate_of_drives
+from .stiff_drives import rate_of_drives
 from .tolerances import LEAST_BEFORE, LEAST_ERROR
 from .workspace import SceneWorkspace
 

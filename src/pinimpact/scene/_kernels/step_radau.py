@@ -1,11 +1,11 @@
-"""One step of the Radau IIA method of order 9, for slip whose direction settles fast.
+"""One step of the Radau IIA method of order 9, for slip whose direction settles fast, and for stiff drives.
 
 Friction follows the direction of slip, and at a small speed s that direction turns at a rate of about
 wᵀu/s: w picks the velocity across the slip, and u = ∂v̇/∂θ is what a turn of the friction does. Where h wᵀu/s
 is large an explicit step is unstable. Here the angles θ of friction at the stages are unknowns of their own,
 with the condition that there is no velocity across them; that stays regular down to s = 0. Newton's method
-then needs no more than a system with one unknown per contact and stage, and the rest is iterated along.
-See `radau` for the method.
+then needs no more than a system with one unknown per contact and stage, after what the laws of stiff drives
+make of the rates, and the rest is iterated along. See `radau` for the method, `stiff_drives` for the drives.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ from ..._numeric.products import apply_symmetric
 from .contact_forces import SLIP
 from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
+from .stiff_drives import STIFF as STIFF_DRIVES
+from .stiff_drives import driven_at, follow, relieve
 from .workspace import SceneWorkspace
 
 ITERATIONS = 12
 STIFF = 3.0
-"""Explicit steps are stable up to about twice this h wᵀu/s."""
+"""Explicit steps are stable up to about twice this h wᵀu/s; longer ones are implicit in the directions."""
 
 
 @inlined
@@ -66,6 +68,7 @@ class Turning(NamedTuple):
         directions: (stages, c, 2) of friction.
         across: (stages, c, nv) rows w of the velocity across the slip.
         effect: (stages, c, nv) u, v̇ for a turn of the friction.
+        answer: (stages, c, stages, 2 nv) the rates at the stages for it, with what drives make of u.
         speeds: (stages, c) along the slip [m/s].
     """
 
@@ -73,32 +76,33 @@ class Turning(NamedTuple):
     directions: Any
     across: Any
     effect: Any
+    answer: Any
     speeds: Any
 
 
 @inlined
-def turning(work):
-    """Return the `Turning` at the start of the iteration."""
+def turning(work, stiff):
+    """Return the `Turning` at the start of the iteration, without contacts if not `stiff`."""
     mode, mu, reference, n, s = work.active_mode, work.active_friction, work.slip_reference, work.nv, STAGES
     rubbing = np.zeros(len(mode), dtype=np.int64)
     for k in range(len(mode)):
-        rubbing[k] = mode[k] == SLIP and mu[k] > 0.0
+        rubbing[k] = stiff and mode[k] == SLIP and mu[k] > 0.0
     slips = nonzero(rubbing)
     count = len(slips)
     directions = np.empty((s, count, 2))
     for i in range(s):
         for c in range(count):
             assign(directions[i, c], reference[slips[c]])
-    across, effect = np.zeros((s, count, n)), np.zeros((s, count, n))
-    return Turning(slips, directions, across, effect, np.zeros((s, count)))
+    across, effect, answer = np.zeros((s, count, n)), np.zeros((s, count, n)), np.zeros((s, count, s, 2 * n))
+    return Turning(slips, directions, across, effect, answer, np.zeros((s, count)))
 
 
 @inlined
 def correct(work, t, h, known, changes):
     """Fill by what the rates at the stages change, and turn the directions of friction there."""
-    slips, directions, across, effect, speeds = known
+    driven, (slips, directions, across, effect, answer, speeds) = known
     reference, velocity = work.slip_reference, work.contact_velocity
-    s, count, n = speeds.shape[0], speeds.shape[1], across.shape[2]
+    s, count, n, drives = speeds.shape[0], speeds.shape[1], across.shape[2], len(driven.index) > 0
     size = s * count
     matrix, right, angle = np.empty((size, size)), np.empty(size), np.empty(size)
     for i in range(s):
@@ -109,19 +113,31 @@ def correct(work, t, h, known, changes):
         for c in range(count):
             k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
             turn(work, k, s1, s2, across[i, c], effect[i, c])
+            answer[i, c] = 0.0
+            assign(answer[i, c, i, n:], effect[i, c])
+            if drives:
+                follow(h, driven, answer[i, c])
             speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
             right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
+    if drives:
+        follow(h, driven, changes)
+    if count == 0:
+        return True
     for i in range(s):
         for c in range(count):
             row = i * count + c
+            matrix[row] = 0.0
             for j in range(s):
                 for m in range(n):
                     right[row] -= h * MATRIX[i, j] * across[i, c, m] * changes[j, n + m]
                 for d in range(count):
-                    total = 0.0
-                    for m in range(n):
-                        total += across[i, c, m] * effect[j, d, m]
-                    matrix[row, j * count + d] = h * MATRIX[i, j] * total
+                    for o in range(s):
+                        if not drives and o != j:
+                            continue
+                        total = 0.0
+                        for m in range(n):
+                            total += across[i, c, m] * answer[j, d, o, n + m]
+                        matrix[row, j * count + d] += h * MATRIX[i, o] * total
             matrix[row, row] -= speeds[i, c]
     equilibrate(matrix, right)
     if solve(matrix, right, angle, RANK) == 0:
@@ -129,8 +145,9 @@ def correct(work, t, h, known, changes):
     for i in range(s):
         for c in range(count):
             change = angle[i * count + c]
-            for m in range(n):
-                changes[i, n + m] += effect[i, c, m] * change
+            for o in range(s):
+                for m in range(2 * n):
+                    changes[o, m] += answer[i, c, o, m] * change
             x, y = math.cos(change), math.sin(change)
             s1, s2 = directions[i, c, 0], directions[i, c, 1]
             directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
@@ -152,10 +169,15 @@ def equilibrate(matrix, right):
 
 @inlined
 def finish(work, h, known, error):
-    """Divide the error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it; leave the directions."""
-    slips, directions, across, effect, speeds = known
+    """Divide the error of ξ and v by 1 − γ h times the stiff derivatives; leave the directions."""
+    driven, (slips, directions, across, effect, _, speeds) = known
     count, n = across.shape[1], across.shape[2]
     matrix, right, turned = np.empty((count, count)), np.empty(count), np.empty(count)
+    relieved = np.zeros((count, 2 * n))
+    relieve(h, driven, error)
+    for c in range(count):
+        assign(relieved[c, n:], effect[0, c])
+        relieve(h, driven, relieved[c])
     for c in range(count):
         right[c] = 0.0
         for m in range(n):
@@ -163,14 +185,14 @@ def finish(work, h, known, error):
         for d in range(count):
             total = 0.0
             for m in range(n):
-                total += across[0, c, m] * effect[0, d, m]
+                total += across[0, c, m] * relieved[d, n + m]
             matrix[c, d] = -GAMMA * h * total
         matrix[c, c] += speeds[0, c]
     equilibrate(matrix, right)
-    if solve(matrix, right, turned, RANK) != 0:
+    if count > 0 and solve(matrix, right, turned, RANK) != 0:
         for c in range(count):
-            for m in range(n):
-                error[n + m] += GAMMA * h * effect[0, c, m] * turned[c]
+            for m in range(2 * n):
+                error[m] += GAMMA * h * relieved[c, m] * turned[c]
     for c in range(count):
         assign(work.slip_reference[slips[c]], directions[len(directions) - 1, c])
         assign(work.end_directions[slips[c]], directions[len(directions) - 1, c])
@@ -183,13 +205,15 @@ iterations = iterate(correct, finish, ITERATIONS)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    slowest = work.direction_speed
-    work.step_turns = True
-    work.direction_speed = math.inf  # so that friction takes the direction that it is given
-    error = iterations(work, t, h, rtol, atol, turning(work))
+    slowest, turns = work.direction_speed, h * work.slip_stiffness > STIFF
+    work.step_turns = turns
+    if turns:
+        work.direction_speed = math.inf  # so that friction takes the direction that it is given
+    driven, found = driven_at(work, t, h, h * work.drive_rate > STIFF_DRIVES)
+    error = iterations(work, t, h, rtol, atol, (driven, turning(work, turns))) if found else math.inf
     work.direction_speed = slowest
-    if not error <= 1.0 or work.callback_failed:
-        restore_directions(work)
-    else:  # where slip is slow, friction keeps the direction that was found
+    if error <= 1.0 and not work.callback_failed:  # where slip is slow, friction keeps the direction found
         complete(work, t, h)
+    elif turns:
+        restore_directions(work)
     return error

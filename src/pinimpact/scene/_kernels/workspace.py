@@ -62,7 +62,7 @@ class SceneWorkspace(Workspace):
     drive_limit = reals("nv", meaning="which the efforts of the drives do not exceed [N or N m]")
     drive_side = integers("nv", meaning="of each drive: 1 at its upper bound, −1 at its lower one, else 0")
     damping = reals("nv", meaning="viscous damping of the joints")
-    stiff_joints = flag("whether drives or damping may ask for implicit steps, see `step_drives`")
+    stiff_joints = flag("whether drives or damping may ask for implicit steps, see `stiff_drives`")
     dry_friction = reals("nv", meaning="dry friction of the joints")
     sliding_friction = reals("nv", meaning="the dry friction with the sign of the velocity, 0 where held")
 
@@ -157,7 +157,7 @@ class SceneWorkspace(Workspace):
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
     slip_ends = real("a guess of the time until the first slip ends [s], infinite if none slows down")
-    drive_rate = real("how fast the drives settled where the motion began [1/s], see `step_drives`")
+    drive_rate = real("how fast the drives settled where the motion began [1/s], see `stiff_drives`")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
     start_gaps = reals("contacts", 2, meaning="gap and rate at the start; infinite where not looked at")

@@ -1,33 +1,29 @@
-"""One step of the Radau IIA method of order 9, for drives and damping of joints that are stiff.
+"""Drives and damping of joints that are stiff, in an implicit step.
 
 A drive of damping d on a joint of little inertia settles at a rate N d, where N = ∂v̇/∂τ is what forces of the
 drives do to v̇ with all that is closed; an explicit step is stable up to about five of these times. Here
 Newton's method takes the laws of the drives as they are, ∂v̇/∂v = −N d and ∂v̇/∂q = −N k with the N at the
-start, and iterates the rest along. Viscous damping of a joint is a law of the same kind, with k = 0. See
-`radau` for the method.
+start. Viscous damping of a joint is a law of the same kind, with k = 0. See `step_radau` for the step.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
-from ..._compile.jit import external, inlined, jit
+from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
 from .dynamics import evaluate, invert_mass_matrix, set_state
-from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
+from .radau import GAMMA, MATRIX, STAGES
 from .workspace import SceneWorkspace
 
 STIFF = 4.0
-"""Steps longer than this, times the rate at which the drives settle, are implicit."""
-
-ITERATIONS = 10
+"""Steps longer than this, times the rate at which the drives settle, are implicit in them."""
 
 SQUARE = MATRIX @ MATRIX
 
@@ -122,13 +118,24 @@ class Driven(NamedTuple):
 
 
 @inlined
-def start(work, t, h):
-    """Return the `Driven` at the start of a step, and whether their system could be factorized."""
+def no_drives(work):
+    """Return the `Driven` of a step in which drives are not stiff."""
+    none = np.empty((0, 0))
+    return Driven(np.empty(0, dtype=np.int64), np.empty((0, work.nv)), none[0:0, 0], none[0:0, 0], none, none)
+
+
+@inlined
+def driven_at(work, t, h, stiff):
+    """Return the `Driven` at the start of a step, none if not `stiff`, and whether it could be found."""
     n, s, index = work.nv, STAGES, following(work)
+    if not stiff:
+        index = index[:0]
     k = len(index)
     response, stiffness, damping = np.empty((k, n)), np.empty(k), np.empty(k)
     matrix, order = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64)
     known = Driven(index, response, stiffness, damping, matrix, order)
+    if k == 0:
+        return known, True
     set_state(work, work.q0, work.v0)
     evaluate(work, t, np.empty(n + 4))
     if work.callback_failed:
@@ -148,15 +155,12 @@ def start(work, t, h):
     return known, factorize(matrix, order)
 
 
-@inlined
-def correct(work, t, h, known, changes):
-    """Fill by what the rates at the stages change."""
-    index, response, stiffness, damping, factors, order = known
+@external
+def follow(h, driven, changes):
+    """Add to changes of the rates at the stages (stages, 2 nv or more) what drives change for them."""
+    index, response, stiffness, damping, factors, order = driven
     k, n, s = response.shape[0], response.shape[1], len(changes)
     right, force = np.empty(s * k), np.empty((s, k))
-    for i in range(s):
-        if not evaluate_stage(work, i, t, h, changes[i]):
-            return False
     # the change of the drives' forces that the change of the rates brings, first by what ξ̇ lacks
     for i in range(s):
         for c in range(k):
@@ -180,42 +184,26 @@ def correct(work, t, h, known, changes):
                 changes[i, n + m] += response[c, m] * force[i, c]
             for j in range(s):
                 changes[i, index[c]] += h * MATRIX[i, j] * right[j * k + c]
-    return True
 
 
-@inlined
-def finish(work, h, known, error):
-    """Divide the error of ξ and v by 1 − γ h times the derivative of the rates by the laws of the drives."""
-    driven, response, stiffness, damping, _, _ = known
+@external
+def relieve(h, driven, error):
+    """Divide an error of ξ and v (2 nv,) by 1 − γ h times the derivative of the rates by the laws."""
+    index, response, stiffness, damping, _, _ = driven
     k, n, step = response.shape[0], response.shape[1], GAMMA * h
     matrix, order, right = np.empty((k, k)), np.empty(k, dtype=np.int64), np.empty(k)
     for c in range(k):
-        right[c] = error[n + driven[c]]
+        right[c] = error[n + index[c]]
         for d in range(k):
-            right[c] -= step * response[d, driven[c]] * stiffness[d] * error[driven[d]]
-            matrix[c, d] = step * response[d, driven[c]] * (damping[d] + step * stiffness[d])
+            right[c] -= step * response[d, index[c]] * stiffness[d] * error[index[d]]
+            matrix[c, d] = step * response[d, index[c]] * (damping[d] + step * stiffness[d])
         matrix[c, c] += 1.0
     if not factorize(matrix, order):
         return
     substitute(matrix, order, right)
     for c in range(k):
-        force = stiffness[c] * error[driven[c]] + (damping[c] + step * stiffness[c]) * right[c]
+        force = stiffness[c] * error[index[c]] + (damping[c] + step * stiffness[c]) * right[c]
         for m in range(n):
             error[n + m] -= step * response[c, m] * force
     for c in range(k):
-        error[driven[c]] += step * error[n + driven[c]]
-
-
-iterations = iterate(correct, finish, ITERATIONS)
-
-
-@declared(SceneWorkspace, float, float, float, float)
-@jit
-def attempt(work, t, h, rtol, atol):
-    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    work.step_turns = False
-    known, found = start(work, t, h)
-    error = iterations(work, t, h, rtol, atol, known) if found else math.inf
-    if error <= 1.0 and not work.callback_failed:
-        complete(work, t, h)
-    return error
+        error[index[c]] += step * error[n + index[c]]
