@@ -118,6 +118,35 @@ def test_slip_begins_at_one_contact_while_another_one_is_fast():
     assert trajectory.v[-1, 3:5] * rate / (MU * G) == pytest.approx(end.y[:, -1], abs=1e-4)
 
 
+def test_slip_that_turns_on_a_robot_with_a_joint_that_settles_fast():
+    """The joint has a milligram and a damping of 10 N s/m, so that its motion is that of what it is on."""
+    ends, steps = [], []
+    for joints in (3, 4):
+        model, parent = pin.Model(), 0
+        kinds = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPX)
+        for k, kind in enumerate(kinds[:joints]):
+            parent = model.addJoint(parent, kind(), pin.SE3.Identity(), f"joint{k}")
+            if k > 1:
+                mass = (1.0 if joints == 3 else 1.0 - 1e-6) if k == 2 else 1e-6
+                inertia = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
+                model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        model.addFrame(pin.Frame("point", 3, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        unbounded(model)
+        model.damping[3:] = 10.0
+
+        def pull(t, q, v):
+            force = MU * G * np.array([np.cos(3.0 * t), np.sin(3.0 * t), 0.0, 0.0])
+            return 1.0001 * force[: len(v)]
+
+        scene = Scene(model, [Contact("point", FLOOR, friction=MU)], control=pull)
+        trajectory = run(scene, np.zeros(joints), [1e-3, *np.zeros(joints - 1)], 0.5, rtol=1e-8, atol=1e-12)
+        assert [m.mode for m in trajectory.modes] == ["slip"]
+        ends.append(np.append(trajectory.q[-1, :2], trajectory.v[-1, :2]))
+        steps.append(trajectory.statistics["steps"])
+    assert ends[1] == pytest.approx(ends[0], rel=1e-5)
+    assert steps[1] < 3 * steps[0]
+
+
 @pytest.mark.slow
 def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(monkeypatch):
     """A mass pulls another one along, by an arm that turns and slides in it; both begin to slip."""

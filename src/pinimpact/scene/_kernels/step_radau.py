@@ -24,13 +24,15 @@ from ..._numeric.products import apply_symmetric
 from .contact_forces import SLIP
 from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
-from .stiff_drives import STIFF as STIFF_DRIVES
 from .stiff_drives import driven_at, follow, relieve
 from .workspace import SceneWorkspace
 
 ITERATIONS = 12
 STIFF = 3.0
-"""Explicit steps are stable up to about twice this h wᵀu/s; longer ones are implicit in the directions."""
+"""Explicit steps are stable up to about twice this h wᵀu/s; longer ones are implicit."""
+
+SLOW = 0.5
+"""The same, or h times the rate of the drives, up to which an implicit step iterates them along."""
 
 
 @inlined
@@ -205,11 +207,11 @@ iterations = iterate(correct, finish, ITERATIONS)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    slowest, turns = work.direction_speed, h * work.slip_stiffness > STIFF
+    slowest, turns = work.direction_speed, h * work.slip_stiffness > SLOW
     work.step_turns = turns
     if turns:
         work.direction_speed = math.inf  # so that friction takes the direction that it is given
-    driven, found = driven_at(work, t, h, h * work.drive_rate > STIFF_DRIVES)
+    driven, found = driven_at(work, t, h, h * work.drive_rate > SLOW)
     error = iterations(work, t, h, rtol, atol, (driven, turning(work, turns))) if found else math.inf
     work.direction_speed = slowest
     if error <= 1.0 and not work.callback_failed:  # where slip is slow, friction keeps the direction found
