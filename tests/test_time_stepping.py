@@ -169,6 +169,24 @@ def test_a_locked_joint_takes_no_part_in_an_impact_without_restitution():
     assert trajectory.impacts[0].v_after[1] == trajectory.impacts[0].v_before[1]
 
 
+def test_two_shapes_a_kilometre_apart_do_not_collide():
+    model, shapes, here = pin.Model(), pin.GeometryModel(), pin.SE3.Identity()
+    for name in ("fallen", "bouncing"):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), here, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), here)
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(f"{name}_0", joint, here, coal.Capsule(0.1, 0.2)))
+    unbounded(model)
+    pair = Contact(geometry="bouncing_0", plane=Shape("fallen_0"), restitution=0.3)
+    scene = Scene(
+        pin.RobotWrapper(model, shapes, shapes),
+        [pair, Contact("bouncing", FLOOR, restitution=0.9, radius=0.1)],
+    )
+    upside_down = 1.0, 0.0, 0.0, 0.0
+    trajectory = step(scene, [5.0, 0.0, -1100.0, *upside_down, 0.0, 0.0, 1.0, *UP], np.zeros(12), 0.6, 1e-3)
+    assert [impact.source for impact in trajectory.impacts] == ["bouncing on plane"]
+
+
 def test_a_held_rod_bounces():
     inertia = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.eye(3) / 12.0)
     hinge = Contact("tip0", Plane((0.0, 0.0, 0.5)))

@@ -118,8 +118,8 @@ def _called(contact: Contact, name: str) -> Contact:
     return other
 
 
-FAR = 1e3
-"""Distance from its surface of a contact without a position [m]."""
+FAR = 1e12
+"""Distance from its surface of a contact without a position [m], further than any two bodies are apart."""
 
 
 def shape_pair(robot: Any, contact: Contact) -> ShapePair:
