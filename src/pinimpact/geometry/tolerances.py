@@ -11,7 +11,9 @@ GJK = COAL_ERROR / 100.0
 """Tolerance of coal's distance."""
 
 CLOSE = 1e-6
-"""Gap below which coal's distance is replaced by one that is exact to rounding; far above `COAL_ERROR`."""
+"""Gap below which coal's distance is replaced by one that is exact to rounding; far above `COAL_ERROR` and
+far below the motion of a step: shapes move by it before it is seen what touches after a point has left, and
+overlap by less, but for a fault."""
 
 LOCAL = 1e-5
 """Distance of a corner behind the extreme one up to which it may belong to the closest feature."""

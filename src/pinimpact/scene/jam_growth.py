@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ._kernels.tolerances import NEGLIGIBLE, PULLS
+from ._kernels.tolerances import NEGLIGIBLE
 
 MOST_CHOSEN = 12
 """Contacts of which all choices of some are tried."""
@@ -53,7 +53,7 @@ def growing_indentations(
         if grown is None:
             break
         forces = grown[0]
-        if forces.min() >= -PULLS * forces.max():
+        if forces.min() >= -NEGLIGIBLE * forces.max():
             return _indentations(active, forces, stiffness)
         del active[int(np.argmin(forces))]
     if count > MOST_CHOSEN:
@@ -65,7 +65,10 @@ def growing_indentations(
                 continue
             forces, rates = grown
             others = np.delete(rates, some)
-            if forces.min() >= -PULLS * forces.max() and others.min() >= -PULLS * np.abs(rates).max():
+            if (
+                forces.min() >= -NEGLIGIBLE * forces.max()
+                and others.min() >= -NEGLIGIBLE * np.abs(rates).max()
+            ):
                 return _indentations(some, forces, stiffness)
     return None
 

@@ -12,13 +12,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..geometry._kernels.constants import CONSTANTS
+from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
 from ..robot.forest import Forest, data_of, inverse_mass
 from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import ShapedRobot, frame_id, motion_signs
 from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
 from ..robot.shape_pair import ShapePair, shape_pair
-from ._kernels.tolerances import APART
 from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
@@ -187,7 +187,7 @@ class SceneLayout:
             np.array([side.in_joint.act(side.shape.center) for side in sides]),
             reaches,
             np.array([motion_signs(self._model, side.joint, 0) != 0.0 for side in sides], dtype=np.int64),
-            APART * reaches.sum(axis=1),
+            COINCIDE * reaches.sum(axis=1),
         )
 
     def places(self, contacts: Sequence[Contact]) -> list[tuple[Contact, list[int]]]:

@@ -17,7 +17,7 @@ from ..robot.corner_motion import Corner
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import SLIP, STICK
-from ._kernels.tolerances import CONTINUOUS, REMAINS, REPRODUCED, ROUNDING
+from ._kernels.tolerances import REMAINS, REPRODUCED, ROUNDING
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
@@ -179,7 +179,7 @@ class Saltation:
                 return _onto(plus, x)
             if len(ends) + len(turns) + len(joints) == 1:
                 x = _through_rest(x, minus, [*ends, *turns], joints, rates)
-            elif not np.linalg.norm(rates[0] - rates[1]) <= CONTINUOUS * np.linalg.norm(rates[0]):
+            elif not np.linalg.norm(rates[0] - rates[1]) <= REMAINS * np.linalg.norm(rates[0]):
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
             if np.isnan(x).all():
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
@@ -350,7 +350,7 @@ def _through_rest(
         x = _onto(minus._replace(rows=np.vstack([minus.rows, row]), response=response), x)
         guard = slip.direction @ slip.rows
         rate = float(slip.direction @ slip.rate)
-        if abs(across @ slip.rate) > CONTINUOUS * abs(rate):
+        if abs(across @ slip.rate) > REMAINS * abs(rate):
             return np.full_like(x, np.nan)
     return np.asarray(x - np.outer(rates[0] - rates[1], guard @ x / rate))
 

@@ -18,11 +18,11 @@ from ..arrays import Array
 from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import cross
-from ..geometry.tolerances import COINCIDE
+from ..geometry.tolerances import CLOSE, COINCIDE
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
 from ._kernels.events.gap import SAFETY
-from ._kernels.tolerances import SHORT_WHILE, VISIBLE
+from ._kernels.tolerances import SHORT_WHILE
 from .crossing import crossing
 from .dense_step import DenseStep
 from .touching_points import Placed, TouchingPoints, Watched
@@ -148,7 +148,7 @@ class ShapeWatch(TouchingPoints):
         if best is None:
             last = at(end)
             depth = -gap(last.a, last.b).value
-            if depth > VISIBLE * watched.size:
+            if depth > CLOSE * watched.size:
                 raise IrregularMotionError(
                     f"contacts: {watched.label!r} penetrates by {depth:.3g} m at t = {end:.6g} s, "
                     "beyond its contact points: corners may have met corners or edges exactly; "
@@ -240,7 +240,7 @@ class ShapeWatch(TouchingPoints):
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
             now = self._at(watched, step)(meeting.time)
             low_a, low_b = _heights(watched.points[i].touch, normal, now)
-            sunk = min(-min(low_a.min(), low_b.min(), 0.0), VISIBLE * watched.size)
+            sunk = min(-min(low_a.min(), low_b.min(), 0.0), CLOSE * watched.size)
             slack = max(self._slack(watched, placed), sunk)
             found = touches(*placed, normal, slack)
             arriving = self._fill(watched, found, placed, normal)
@@ -264,7 +264,7 @@ class ShapeWatch(TouchingPoints):
     def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
         """Let go of points that leave their faces and edges; let touch what touches a little later."""
         speed = float(np.abs(v).max()) * (1.0 + watched.size)
-        ahead = VISIBLE * watched.size / speed if speed > 0.0 else 0.0
+        ahead = CLOSE * watched.size / speed if speed > 0.0 else 0.0
         later, _ = step.at(t + min(ahead, 0.1 * step.h))
         self._set(later)
         placed = watched.pair.placed(self._data)

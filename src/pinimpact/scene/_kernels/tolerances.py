@@ -66,11 +66,8 @@ the effects of forces cancel, or friction is too small, and the sine of the tilt
 NUDGE = 1e-8
 """Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
 
-LEAST_NUDGE = 1e-9
+LEAST_NUDGE = 0.1 * NUDGE
 """Part of the fastest slip that this is at least."""
-
-PULLS = 1e-6
-"""Part of the largest force up to which one that pulls is rounding."""
 
 # ---- steps and their events
 
@@ -113,13 +110,6 @@ TURN = 1e-2
 
 # ---- convex shapes, in parts of their size
 
-APART = 1e-8
-"""By what a pair has to stay apart."""
-
-VISIBLE = 1e-6
-"""A length far above rounding and far below the motion of a step: shapes move by it before it is seen what
-touches after a point has left, and overlap by less, but for a fault."""
-
 SHORT_WHILE = 1e-3
 """Part of the intervals between samples of a step over which second rates are taken."""
 
@@ -134,11 +124,9 @@ HELD_GAP = 1e-3
 
 # ---- derivatives
 
-CONTINUOUS = 1e-5
-"""Part of the acceleration by which it may differ at an event that does not change it."""
-
 REMAINS = 1e-4
-"""Part of the changes of velocities that vanish that an event may leave of them."""
+"""Part of the changes of velocities that vanish that an event may leave of them, and by which accelerations
+may differ at one that does not change them."""
 
 REPRODUCED = 1e-6
 """Part of the change of velocity to which an impact is computed again for its derivatives."""
