@@ -102,24 +102,25 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     """Follow waves by adaptive steps; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
-    missed, steps, accuracy, rows = np.inf, 0, STEP_ACCURACY, _rows_of(inputs.delassus)
+    by_steps, steps, accuracy, rows = np.inf, 0, STEP_ACCURACY, _rows_of(inputs.delassus)
     numbers: Array | None = None
     last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
         little = inputs._replace(
             restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution)
         )
-        found = _passes(little, exponent, rows, max(accuracy, STEP_ACCURACY))
+        found = _passes(little, exponent, rows, accuracy, by_steps)
         if found is None:
             break
         before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
-        last, missed, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
+        last, by_steps, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
+        missed = by_steps
         if plastic.any():  # what two extrapolations differ by, or the first coefficient before there are two
             change = FIRST_RESTITUTION
             if before is not None:
                 change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
-            enough = k > 1 and change <= max(missed, AGREE)
-            missed = max(missed, change)
+            enough = k > 1 and change <= max(by_steps, AGREE)
+            missed = max(by_steps, change)
             if enough or steps > SPENT:
                 break
     if numbers is None:
@@ -161,7 +162,7 @@ def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
 
 
 def _passes(
-    inputs: ManyInputs, exponent: float, rows: Array, accuracy: float
+    inputs: ManyInputs, exponent: float, rows: Array, accuracy: float, missed: float
 ) -> tuple[Array, float, int, float] | None:
     """Step through an impact with more and more accuracy, until two passes agree.
 
@@ -170,6 +171,7 @@ def _passes(
         exponent: Of its forces.
         rows: (3n, r) J with W = J Jᵀ.
         accuracy: Of the first pass; a coarser one takes its place where it takes too many steps.
+        missed: What that is known to miss, of a nearly equal impact; then one pass is enough.
 
     Returns:
         Impulses and works (6n,), by how much velocities differ from those of a pass with a tenth of the
@@ -177,6 +179,8 @@ def _passes(
     """
     nowhere = np.empty((0, 3 * len(inputs.velocity) + 1))
     steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
+    if steps > 0 and missed < np.inf:
+        return best, missed, steps, accuracy
     finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
     while steps == 0 and accuracy < COARSEST:
         accuracy *= 10.0
