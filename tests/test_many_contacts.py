@@ -838,8 +838,7 @@ def test_what_one_asks_for_with_a_policy_is_compiled_though_the_policy_is_there(
     assert not compiled
 
 
-def test_the_noted_accuracy_of_steps_counts_what_the_cones_take_away(monkeypatch):
-    monkeypatch.setattr("pinimpact.contact_space.waves.MOST_RESTITUTIONS", 2)
+def test_the_noted_accuracy_of_steps_counts_what_the_cones_take_away():
     # impulses extrapolated to e = 0 leave their cones here; back within, they leave an approach
     jacobian = np.array(
         [

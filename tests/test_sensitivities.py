@@ -183,6 +183,42 @@ def test_a_block_slides_up_and_back():
     assert np.isclose(up @ found[:3, 3:] @ up, top + fall / rise * (0.6 - top), rtol=1e-7)
 
 
+def test_what_begins_to_slide_at_the_start_has_a_derivative_on_each_side_only():
+    # v(1) = g − f + v(0), against friction (g − f)(1 + v(0)/(g + f))
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "z")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.lowerDryFrictionLimit[:], model.upperDryFrictionLimit[:] = -3.0, 3.0
+    scene = Scene(model, [])
+    step = Stepper(scene, [0.0], [0.0]).linearize([0.0], 0.1)
+    assert step.boundary == Boundary.START_AT_REST
+    assert np.isnan(step.A[:, 1]).all()
+    assert step.A[:, 0] == pytest.approx([1.0, 0.0])
+    assert step.B[:, 0] == pytest.approx([0.005, 0.1])
+    moving = Stepper(scene, [0.0], [-0.1]).linearize([0.0], 0.1)
+    assert moving.boundary == Boundary.NONE
+    assert np.abs(moving.A - [[1.0, 0.1], [0.0, 1.0]]).max() < 1e-12
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_a_block_that_begins_to_slide_down_a_slope(friction):
+    model, angle = pin.Model(), 0.5
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "block")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addFrame(pin.Frame("block", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    plane = Plane(normal=(np.sin(angle), 0.0, np.cos(angle)))
+    scene = Scene(model, [Contact("block", plane, friction=friction)])
+    found = simulate(scene, np.zeros(3), np.zeros(3), 1.0, sensitivities="state").sensitivity(1.0)
+    rest = Boundary.START_AT_REST if friction > 0.0 else Boundary.NONE
+    assert found.boundary == Boundary.CLOSED | rest
+    along = np.eye(3) - np.outer(plane.normal, plane.normal)  # changes that open the contact are projected
+    assert found.state[:3, :3] == pytest.approx(along, abs=1e-9)
+    if friction > 0.0:
+        assert np.isnan(found.state[:, 3:]).all()
+    else:
+        assert found.state[:3, 3:] == pytest.approx(along, abs=1e-9)
+
+
 def test_a_planar_block_sticks():
     # nothing moves across the plane, so that this force of the contact is none
     model = pin.Model()

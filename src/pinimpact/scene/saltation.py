@@ -78,16 +78,39 @@ class Saltation:
             return self.cross(x, self.before(impacts[0], first.closed), first, impacts)
         if first.closed is None:
             return x
-        after = self.slopes.within(first, np.array([first.start]), inside=False)
-        rows, response, inverse = after.by_state[0, len(x) // 2 :], after.response[0], after.inverse[0]
-        if len(rows) == 0:
+        after = self.slopes.at(first, first.start)
+        x = self._from_rest(x, first, after)
+        if len(after.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
         nv, gaps = len(x) // 2, self._gaps()
         place = np.zeros((len(gaps), 2 * nv))
-        place[:, :nv] = rows[gaps, nv:]
-        x = stop(place, inverse @ place[:, :nv].T, 0, x)
-        return np.asarray(stop(rows, response, nv, x))
+        place[:, :nv] = after.rows[gaps, nv:]
+        return _onto(after, stop(place, after.inverse @ place[:, :nv].T, 0, x))
+
+    def _from_rest(self, x: Array, first: DenseStep, after: ModeSlopes) -> Array:
+        """Return changes at a start, undefined where they move what begins to slide there.
+
+        Against the friction of its motion it slides on one side only.
+        """
+        work, nv, rows = self._dynamics.work, len(x) // 2, np.zeros((0, len(x)))
+        still, rough = self.error(first.v), work.active_friction > 0.0
+        begins = dict(zip(work.active_index[rough].tolist(), self._slow(first, still)[rough], strict=True))
+        for slip in after.slips:
+            if begins.get(slip.contact):
+                rows = np.vstack([rows, slip.rows])
+        if first.closed is not None:
+            joints = (first.closed.sliding != 0.0) & (np.abs(first.v) <= still)
+            rows = np.vstack([rows, np.eye(nv, 2 * nv, nv)[joints]])
+        moved = (np.abs(rows @ x) > REMAINS * (np.abs(rows) @ np.abs(x))).any(axis=0)
+        if not moved.any():
+            return x
+        self.boundary |= Boundary.START_AT_REST
+        return np.where(moved, np.nan, x)
+
+    def _slow(self, step: DenseStep, still: float) -> NDArray[np.bool_]:
+        """Return which of what is closed moves no faster than `still` along its surface at a start."""
+        return np.asarray(self.slopes.speeds(step, np.array([step.start]))[0] <= still)
 
     def _gaps(self) -> list[int]:
         """Return which of the velocities that vanish are rates of gaps that remain closed."""

@@ -103,7 +103,7 @@ MISSED = 1e-6
 """Part of velocities, impulses and works that may be missed or gained, before waves count as lost; and of the
 largest velocity that an approach may keep after a plastic impact, where forces are large."""
 
-COARSEST, STEP_ACCURACY, FINEST = 1e-7, 1e-9, 2e-13
+COARSEST, STEP_ACCURACY, FINEST = 1e-7, 1e-10, 2e-13
 """Part of the largest velocity that a step may miss at the most, at first, and at least."""
 
 AGREE, USEFUL = 1e-7, 1e-3
