@@ -230,8 +230,8 @@ def test_dominoes_fall_in_time_however_they_are_numbered():
 
         found.append([brentq(lean, 0.0, 0.32, args=(order.index(k),)) for k in range(5)])
         assert deepest(trajectory, bodies) < 1e-6
-        # in one plane, but for an impact at 16 contacts, e = 0: where one of two corners stops first by rounding,
-        # the other one stops later and alone (NEAR_JUMP)
+        # in one plane, but for an impact at 16 contacts, e = 0: where rounding lets one of two corners stop
+        # first, the other one stops later and alone (NEAR_JUMP)
         assert np.abs(trajectory.q[:, 1::7]).max() < 1e-4
         assert np.diff(trajectory.energy.total).max() < 1e-6
     np.testing.assert_allclose(found, [wanted, wanted], atol=2e-3)
