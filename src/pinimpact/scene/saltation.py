@@ -79,7 +79,7 @@ class Saltation:
         if first.closed is None:
             return x
         after = self.slopes.at(first, first.start)
-        x = self._from_rest(x, first, after)
+        self._flag_rest(x, first, after)
         if len(after.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
@@ -88,11 +88,8 @@ class Saltation:
         place[:, :nv] = after.rows[gaps, nv:]
         return _onto(after, stop(place, after.inverse @ place[:, :nv].T, 0, x))
 
-    def _from_rest(self, x: Array, first: DenseStep, after: ModeSlopes) -> Array:
-        """Return changes at a start, undefined where they move what begins to slide there.
-
-        Against the friction of its motion it slides on one side only.
-        """
+    def _flag_rest(self, x: Array, first: DenseStep, after: ModeSlopes) -> None:
+        """Flag changes at a start that move what begins to slide there: derivatives are those of its side."""
         work, nv, rows = self._dynamics.work, len(x) // 2, np.zeros((0, len(x)))
         still, rough = self.error(first.v), work.active_friction > 0.0
         begins = dict(zip(work.active_index[rough].tolist(), self._slow(first, still)[rough], strict=True))
@@ -102,11 +99,8 @@ class Saltation:
         if first.closed is not None:
             joints = (first.closed.sliding != 0.0) & (np.abs(first.v) <= still)
             rows = np.vstack([rows, np.eye(nv, 2 * nv, nv)[joints]])
-        moved = (np.abs(rows @ x) > REMAINS * (np.abs(rows) @ np.abs(x))).any(axis=0)
-        if not moved.any():
-            return x
-        self.boundary |= Boundary.START_AT_REST
-        return np.where(moved, np.nan, x)
+        if (np.abs(rows @ x) > REMAINS * (np.abs(rows) @ np.abs(x))).any():
+            self.boundary |= Boundary.START_AT_REST
 
     def _slow(self, step: DenseStep, still: float) -> NDArray[np.bool_]:
         """Return which of what is closed moves no faster than `still` along its surface at a start."""
