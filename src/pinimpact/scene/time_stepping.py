@@ -434,7 +434,7 @@ class TimeStepping(Integrator):
         matrices = self._mass, self._inverse, self._start
         problem = VelocityProblem(*matrices, *jacobian, free, _NONE, lower, upper, _NONE)
         every = np.ones(len(free), dtype=bool)
-        parts = 0.1 * ROUGH, ROUGH  # at once: without friction no gradual approach is needed
+        parts = math.sqrt(ROUGH), ROUGH  # in two iterations
         step_impulses(problem, every, self._tree, *parts, nothing.copy(), correction, pushes)
         return correction, pushes
 
