@@ -279,8 +279,8 @@ def find_profile(problem, first, last):
     for a in range(m):
         last[start[a]] = max(last[start[a]], a)
     for a in range(len(counts)):
-        k = columns[a, 0] if counts[a] > 0 else 0
-        last[k] = max(last[k], columns[a, counts[a] - 1] if counts[a] > 0 else 0)
+        if counts[a] > 0:
+            last[columns[a, 0]] = max(last[columns[a, 0]], columns[a, counts[a] - 1])
     k = 0
     for a in range(m):
         if a > 0:

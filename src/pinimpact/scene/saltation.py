@@ -79,7 +79,7 @@ class Saltation:
         if first.closed is None:
             return x
         after = self.slopes.at(first, first.start)
-        self._flag_rest(x, first, after)
+        self._flag_rest(x, first, first.closed, after)
         if len(after.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
@@ -88,23 +88,16 @@ class Saltation:
         place[:, :nv] = after.rows[gaps, nv:]
         return _onto(after, stop(place, after.inverse @ place[:, :nv].T, 0, x))
 
-    def _flag_rest(self, x: Array, first: DenseStep, after: ModeSlopes) -> None:
+    def _flag_rest(self, x: Array, first: DenseStep, closed: ClosedSet, after: ModeSlopes) -> None:
         """Flag changes at a start that move what begins to slide there: derivatives are those of its side."""
-        work, nv, rows = self._dynamics.work, len(x) // 2, np.zeros((0, len(x)))
-        still, rough = self.error(first.v), work.active_friction > 0.0
-        begins = dict(zip(work.active_index[rough].tolist(), self._slow(first, still)[rough], strict=True))
-        for slip in after.slips:
-            if begins.get(slip.contact):
-                rows = np.vstack([rows, slip.rows])
-        if first.closed is not None:
-            joints = (first.closed.sliding != 0.0) & (np.abs(first.v) <= still)
-            rows = np.vstack([rows, np.eye(nv, 2 * nv, nv)[joints]])
+        work, nv, still = self._dynamics.work, len(x) // 2, self.error(first.v)
+        slow = self.slopes.speeds(first, np.array([first.start]))[0] <= still
+        begins = work.active_index[slow & (work.active_friction > 0.0)]
+        joints = (closed.sliding != 0.0) & (np.abs(first.v) <= still)
+        slips = [slip.rows for slip in after.slips if slip.contact in begins]
+        rows = np.vstack([*slips, np.eye(nv, 2 * nv, nv)[joints]])
         if (np.abs(rows @ x) > REMAINS * (np.abs(rows) @ np.abs(x))).any():
             self.boundary |= Boundary.START_AT_REST
-
-    def _slow(self, step: DenseStep, still: float) -> NDArray[np.bool_]:
-        """Return which of what is closed moves no faster than `still` along its surface at a start."""
-        return np.asarray(self.slopes.speeds(step, np.array([step.start]))[0] <= still)
 
     def _gaps(self) -> list[int]:
         """Return which of the velocities that vanish are rates of gaps that remain closed."""
