@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,8 @@ from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
 from ..robot.names import model_of
 from ..scene.joint_charts import coordinate_rates, joint_table
+
+Of = TypeVar("Of")
 
 
 def refuse_single_precision(kind: Any, name: str, remedy: str) -> None:
@@ -120,6 +122,70 @@ class RobotRows:
             ):
                 out[i] = value
         return _reshaped(found, lead)
+
+
+class RowFunctions(Generic[Of]):
+    """The functions of `pinimpact.integrations.jax` and `pinimpact.integrations.torch`.
+
+    Args:
+        call: Evaluates rows at arrays of the library, with their derivatives.
+    """
+
+    def __init__(self, call: Callable[..., tuple[Of, ...]]) -> None:
+        self._call = call
+
+    def solve_impacts(
+        self, delassus: Any, velocity: Any, friction: Any, restitution: Any, law: str = "poisson"
+    ) -> tuple[Of, Of]:
+        """Return v⁺ (..., 3) and P (..., 3) of impacts in contact space, by the method "exact".
+
+        Args:
+            delassus: (..., 3, 3) symmetric W [1/kg]; of a change of it the symmetric part counts.
+            velocity: (..., 3) contact velocities before the impact [m/s].
+            friction: (...) coefficients μ.
+            restitution: (...) coefficients e.
+            law: Restitution law of all rows.
+
+        Raises:
+            InputError: Single precision, or wrong shapes.
+            UnknownNameError: Unknown law.
+        """
+        after, impulse = self._call(ContactRows(law), delassus, velocity, friction, restitution)
+        return after, impulse
+
+    def impact(
+        self,
+        model: pin.Model,
+        data: pin.Data,
+        q: Any,
+        v: Any,
+        contact: Contact,
+        friction: Any = None,
+        restitution: Any = None,
+        held: Sequence[Contact] = (),
+        locked: Sequence[str | int] = (),
+    ) -> Of:
+        """Return the velocities (..., nv) of a robot after impacts.
+
+        Derivatives by q are those along the configuration space: the length of a quaternion has no effect.
+
+        Args:
+            model: Pinocchio model, or a RobotWrapper.
+            data: Its data, which change.
+            q: (..., nq) configurations.
+            v: (..., nv) velocities before the impact.
+            contact: The contact that collides: a point or a sphere on a Plane or a Sphere.
+            friction: (...) coefficients μ; None: that of the contact.
+            restitution: (...) coefficients e; None: that of the contact.
+            held: Contacts that hold during the impact, as in `impact_derivatives`.
+            locked: Joints whose velocity the impact does not change.
+
+        Raises:
+            InputError: Single precision, wrong shapes, or a contact without derivatives.
+        """
+        rows = RobotRows(model, data, contact, restitution is None, held, locked)
+        (after,) = self._call(rows, q, v, *rows.coefficients(friction, restitution))
+        return after
 
 
 def _check_shapes(

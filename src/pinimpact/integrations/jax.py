@@ -10,11 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import pinocchio as pin
-
 from ..errors import InputError
-from ..robot.contact import Contact
-from ._rows import ContactRows, RobotRows, refuse_single_precision
+from ._rows import ContactRows, RobotRows, RowFunctions, refuse_single_precision
 
 try:
     import jax
@@ -23,60 +20,6 @@ except ImportError as error:
     raise InputError("jax: not installed; pip install 'pinimpact[jax]'", field="jax", value=None) from error
 
 REMEDY = 'call jax.config.update("jax_enable_x64", True) first'
-
-
-def solve_impacts(
-    delassus: Any, velocity: Any, friction: Any, restitution: Any, law: str = "poisson"
-) -> tuple[jax.Array, jax.Array]:
-    """Return v⁺ (..., 3) and P (..., 3) of impacts in contact space, by the method "exact".
-
-    Args:
-        delassus: (..., 3, 3) symmetric W [1/kg]; of a change of it the symmetric part counts.
-        velocity: (..., 3) contact velocities before the impact [m/s].
-        friction: (...) coefficients μ.
-        restitution: (...) coefficients e.
-        law: Restitution law of all rows.
-
-    Raises:
-        InputError: Single precision, or wrong shapes.
-        UnknownNameError: Unknown law.
-    """
-    after, impulse = _call(ContactRows(law), delassus, velocity, friction, restitution)
-    return after, impulse
-
-
-def impact(
-    model: pin.Model,
-    data: pin.Data,
-    q: Any,
-    v: Any,
-    contact: Contact,
-    friction: Any = None,
-    restitution: Any = None,
-    held: Sequence[Contact] = (),
-    locked: Sequence[str | int] = (),
-) -> jax.Array:
-    """Return the velocities (..., nv) of a robot after impacts.
-
-    Derivatives by q are those along the configuration space: the length of a quaternion has no effect.
-
-    Args:
-        model: Pinocchio model, or a RobotWrapper.
-        data: Its data, which change.
-        q: (..., nq) configurations.
-        v: (..., nv) velocities before the impact.
-        contact: The contact that collides: a point or a sphere on a Plane or a Sphere.
-        friction: (...) coefficients μ; None: that of the contact.
-        restitution: (...) coefficients e; None: that of the contact.
-        held: Contacts that hold during the impact, as in `impact_derivatives`.
-        locked: Joints whose velocity the impact does not change.
-
-    Raises:
-        InputError: Single precision, wrong shapes, or a contact without derivatives.
-    """
-    rows = RobotRows(model, data, contact, restitution is None, held, locked)
-    (after,) = _call(rows, q, v, *rows.coefficients(friction, restitution))
-    return after
 
 
 def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
@@ -125,3 +68,7 @@ def _product(slope: Any, change: Any, axes: int) -> Any:
     """Return the change of an output (..., m) by a slope (..., m, *own) and a change (..., *own)."""
     letters = "ij"[:axes]
     return jnp.einsum(f"...m{letters},...{letters}->...m", slope, change)
+
+
+_functions: RowFunctions[jax.Array] = RowFunctions(_call)
+solve_impacts, impact = _functions.solve_impacts, _functions.impact
