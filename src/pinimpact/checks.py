@@ -26,7 +26,6 @@ def real_numbers(field: str, value: Any, expected: str = "an array of real numbe
     if np.ma.is_masked(value):
         raise InputError(
             f"{field}: the array has masked entries; {expected} is expected, for instance .filled(0)",
-            field=field,
             value=value,
         )
     try:
@@ -37,7 +36,7 @@ def real_numbers(field: str, value: Any, expected: str = "an array of real numbe
             return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError):
         pass
-    raise InputError(f"{field}: {in_short(value)} given; {expected} is expected", field=field, value=value)
+    raise InputError(f"{field}: {in_short(value)} given; {expected} is expected", value=value)
 
 
 _NO_REALS = (
@@ -59,9 +58,7 @@ def real_number(field: str, value: Any) -> float:
         return value
     array = real_numbers(field, value, "a real number")
     if array.size != 1:
-        raise InputError(
-            f"{field}: shape {array.shape} given; a number is expected", field=field, value=value
-        )
+        raise InputError(f"{field}: shape {array.shape} given; a number is expected", value=value)
     return float(array.reshape(()))
 
 
@@ -74,7 +71,7 @@ def in_short(value: Any) -> str:
 def file_path(field: str, path: Any) -> Path:
     """Return a path, or raise `InputError`."""
     if not isinstance(path, (str, Path)):
-        raise InputError(f"{field}: {in_short(path)} given, a path expected", field=field, value=path)
+        raise InputError(f"{field}: {in_short(path)} given, a path expected", value=path)
     return Path(path)
 
 
@@ -82,11 +79,10 @@ def output_file(field: str, path: str | Path) -> Path:
     """Return the path of a file to be written; raise `InputError` for a folder or a missing folder."""
     path = file_path(field, path)
     if path.is_dir():
-        raise InputError(f"{field}: {path} is a folder; add the name of a file", field=field, value=str(path))
+        raise InputError(f"{field}: {path} is a folder; add the name of a file", value=str(path))
     if not path.absolute().parent.is_dir():
         raise InputError(
             f"{field}: there is no folder {path.absolute().parent}; create it first, or give another path",
-            field=field,
             value=str(path),
         )
     return path
@@ -103,7 +99,7 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray
     given = real_numbers(field, value, f"an array of real numbers of shape {shape}")
     array = np.atleast_1d(given if given.flags.carray else np.array(given, order="C"))
     if array.shape != shape:
-        raise InputError(f"{field}: shape {array.shape} given, {shape} expected", field=field, value=value)
+        raise InputError(f"{field}: shape {array.shape} given, {shape} expected", value=value)
     return array
 
 
@@ -112,9 +108,7 @@ def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArra
     array = float_array(field, value, shape)
     squares = np.vdot(array, array)  # quickly finite, unless it is too large
     if not math.isfinite(squares) and not np.isfinite(array).all():
-        raise InputError(
-            f"{field}: {array.tolist()} contains numbers that are not finite", field=field, value=value
-        )
+        raise InputError(f"{field}: {array.tolist()} contains numbers that are not finite", value=value)
     return array
 
 
@@ -122,7 +116,7 @@ def coefficient(name: str, value: Any) -> float:
     """Return `value` as a float between 0 and 1, or raise `InputError`."""
     number = _finite(name, value)
     if not 0.0 <= number <= 1.0:
-        raise InputError(f"{name}: {number} is not between 0 and 1", field=name, value=value)
+        raise InputError(f"{name}: {number} is not between 0 and 1", value=value)
     return number
 
 
@@ -130,7 +124,7 @@ def at_least_zero(name: str, value: Any) -> float:
     """Return `value` as a finite float that is not negative, or raise `InputError`."""
     number = _finite(name, value)
     if number < 0.0:
-        raise InputError(f"{name}: {number} is negative; it must be at least 0", field=name, value=value)
+        raise InputError(f"{name}: {number} is negative; it must be at least 0", value=value)
     return number
 
 
@@ -138,14 +132,14 @@ def above_zero(name: str, value: Any) -> float:
     """Return `value` as a finite float > 0, or raise `InputError`."""
     number = _finite(name, value)
     if number <= 0.0:
-        raise InputError(f"{name}: {number} given; it must be above 0", field=name, value=value)
+        raise InputError(f"{name}: {number} given; it must be above 0", value=value)
     return number
 
 
 def _finite(name: str, value: Any) -> float:
     number = real_number(name, value)
     if not math.isfinite(number):
-        raise InputError(f"{name}: {number} is not finite", field=name, value=value)
+        raise InputError(f"{name}: {number} is not finite", value=value)
     return number
 
 
@@ -153,7 +147,7 @@ def level(value: Any) -> float:
     """Return the level of an interval as a float above 0 and below 1, or raise `InputError`."""
     number = _finite("level", value)
     if not 0.0 < number < 1.0:
-        raise InputError(f"level: {number} given, between 0 and 1 expected", field="level", value=value)
+        raise InputError(f"level: {number} given, between 0 and 1 expected", value=value)
     return number
 
 
@@ -169,9 +163,7 @@ def choice(field: str, value: Any, names: Iterable[str], what: str) -> str:
     names = tuple(names)
     if not isinstance(value, str) or value not in names:
         raise UnknownNameError(
-            f"{field}: {in_short(value)} is not {what}; {near_matches(value, names)}",
-            field=field,
-            value=value,
+            f"{field}: {in_short(value)} is not {what}; {near_matches(value, names)}", value=value
         )
     return value
 
@@ -179,16 +171,14 @@ def choice(field: str, value: Any, names: Iterable[str], what: str) -> str:
 def truth_value(field: str, value: Any) -> bool:
     """Return `value` as a bool if it is True or False, or raise `InputError`."""
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(
-            f"{field}: {in_short(value)} given, True or False expected", field=field, value=value
-        )
+        raise InputError(f"{field}: {in_short(value)} given, True or False expected", value=value)
     return bool(value)
 
 
 def function(field: str, value: Any, what: str) -> Any:
     """Return `value` if it can be called, or raise `InputError`: that it is not `what`."""
     if not callable(value):
-        raise InputError(f"{field}: {in_short(value)} is not {what}", field=field, value=value)
+        raise InputError(f"{field}: {in_short(value)} is not {what}", value=value)
     return value
 
 
@@ -198,9 +188,7 @@ def whole_number(field: str, value: Any, low: int, high: int | None = None) -> i
     if not number or value < low or (high is not None and value > high):
         to = "" if high is None else f" to {high}"
         raise InputError(
-            f"{field}: {in_short(value)} given, a whole number from {low}{to} expected",
-            field=field,
-            value=value,
+            f"{field}: {in_short(value)} given, a whole number from {low}{to} expected", value=value
         )
     return int(value)
 
@@ -213,9 +201,7 @@ def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) ->
         return tuple(value)
     except TypeError:
         raise InputError(
-            f"{field}: {in_short(value)} given, {what} or a sequence of them expected",
-            field=field,
-            value=value,
+            f"{field}: {in_short(value)} given, {what} or a sequence of them expected", value=value
         ) from None
 
 

@@ -10,14 +10,14 @@ class PinimpactError(Exception):
 
     Args:
         message: What is wrong, with the value, and what is expected.
-        field: Name of the argument or file key, if there is one.
+        field: Name of the argument or file key, if there is one; else what stands before the message's colon.
         value: The value, as given.
     """
 
     def __init__(self, message: str, *, field: str | None = None, value: Any = None) -> None:
         super().__init__(message)
         self.message = message
-        self.field = field
+        self.field = field or (message.partition(": ")[0] if ": " in message else None)
         self.value = value
 
     def __str__(self) -> str:

@@ -43,7 +43,6 @@ def check_table_path(field: str, path: str | Path) -> Path:
     if path.suffix not in SUFFIXES:
         raise InputError(
             f"{field}: {path.name!r} given; the name of a table ends in {' or '.join(SUFFIXES)}",
-            field=field,
             value=str(path),
         )
     if path.suffix == ".parquet":
@@ -75,5 +74,5 @@ def _optional(package: str, field: str) -> Any:
         return import_module(package)
     except ImportError:
         raise InputError(
-            f"{field}: {package} is not installed; pip install 'pinimpact[data]' installs it", field=field
+            f"{field}: {package} is not installed; pip install 'pinimpact[data]' installs it"
         ) from None

@@ -137,9 +137,7 @@ def robots(word: str | None, as_json: bool) -> None:
     if not any(found.values()):
         every = [name for names in named_robots().values() for name in names]
         raise UnknownNameError(
-            f"word: no robot has {word!r} in its name; {near_matches(word or '', every)}",
-            field="word",
-            value=word,
+            f"word: no robot has {word!r} in its name; {near_matches(word or '', every)}", value=word
         )
     if as_json:
         click.echo(json.dumps(found))

@@ -91,7 +91,8 @@ class Demo:
             if impact.source == self.contact.label:
                 return impact
         raise SimulationError(
-            f"{self.contact.label}: no impact in {self.trajectory.duration:.3g} s", partial=self.trajectory
+            f"contact: {self.contact.label!r} has no impact in {self.trajectory.duration:.3g} s",
+            partial=self.trajectory,
         )
 
 
@@ -184,14 +185,12 @@ def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tupl
     """Return the robot without the joints that have no inertia, and their names."""
     model = robot.model
     if model.nv == 0:
-        raise ModelError(
-            f"robot: {name} has no movable joint, so it cannot strike", field="robot", value=name
-        )
+        raise ModelError(f"robot: {name} has no movable joint, so it cannot strike", value=name)
     idle = sorted(_idle_joints(model, robot.q0))
     if not idle:
         return robot, ()
     if sum(model.nvs[j] for j in range(1, model.njoints) if j not in idle) == 0:
-        raise ModelError(f"robot: no joint of {name} moves any mass", field="robot", value=name)
+        raise ModelError(f"robot: no joint of {name} moves any mass", value=name)
     shapes = [robot.collision_model, robot.visual_model]
     reduced, shapes = pin.buildReducedModel(model, shapes, idle, robot.q0)
     whole = pin.RobotWrapper(reduced, *shapes)
@@ -251,14 +250,12 @@ def _touch(
         raise InputError(
             f"direction: {tuple(direction or ())} points away from the table with the normal "
             f"{tuple(normal or ())}; give a direction against the normal",
-            field="direction",
             value=direction,
         )
     if axes is None and along is not None and float(along[2]) >= 0.0:
         raise InputError(
             f"direction: {tuple(direction or ())} does not point down to the table; give a "
             "direction with a negative z, or the table's normal too (normal=, --normal)",
-            field="direction",
             value=direction,
         )
     moves = None
@@ -294,7 +291,6 @@ def _touch(
         f"normal: {what} of {name} cannot move towards such a table in this posture; it moves "
         f"along ({x:g}, {y:g}, {z:g}): give a normal opposite to that, another direction, or "
         "another frame",
-        field="normal",
         value=normal,
     )
 

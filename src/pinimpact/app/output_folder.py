@@ -33,7 +33,6 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
         raise InputError(
             f"out: {out} already contains {_listed(taken)}; use --force to overwrite "
             f"{'it' if len(taken) == 1 else 'them'}, or another folder with -o",
-            field="out",
             value=str(out),
         )
     try:
@@ -44,7 +43,6 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
     except OSError as error:
         raise InputError(
             f"out: cannot write to the folder {out}: {_reason(out, error)}; choose another with -o",
-            field="out",
             value=str(out),
         ) from error
     return out
@@ -63,7 +61,6 @@ def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "i
         raise InputError(
             f"output: {_listed(taken)} already {'exists' if len(taken) == 1 else 'exist'}; use "
             "--force to overwrite, or another name",
-            field="output",
             value=str(output),
         )
     return {"samples": output, "impacts": impacts}

@@ -291,7 +291,6 @@ def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> Sce
             key = next(iter(control))
             raise InputError(
                 f"control.{key}: {control[key]!r} given, but {path} has no table [control]",
-                field=f"control.{key}",
                 value=control[key],
             )
         tables["control"] |= control
@@ -304,12 +303,12 @@ def read_toml(path: Path, what: str, names: Iterable[str]) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         known = f", and no {what} of that name; {near_matches(str(path), names)}" if names else ""
-        raise InputError(f"{what}: there is no file {path}{known}", field=what, value=str(path)) from error
+        raise InputError(f"{what}: there is no file {path}{known}", value=str(path)) from error
     except (OSError, UnicodeDecodeError) as error:
         reason = "it is not text" if isinstance(error, UnicodeDecodeError) else error.strerror
-        raise InputError(f"{what}: cannot read {path}: {reason}", field=what, value=str(path)) from error
+        raise InputError(f"{what}: cannot read {path}: {reason}", value=str(path)) from error
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{what}: {path} is not TOML: {error}", field=what, value=str(path)) from error
+        raise InputError(f"{what}: {path} is not TOML: {error}", value=str(path)) from error
 
 
 def validated(kind: type[Checked], tables: dict[str, Any], path: Path) -> Checked:
@@ -344,21 +343,17 @@ def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> Pinim
         table = _TABLES.get(tuple(str(part) for part in place[:-1][:1]), kind)
         return UnknownNameError(
             f"{key}: unknown key in {path.name}; {near_matches(str(place[-1]), table.model_fields)}",
-            field=key,
             value=complaint["input"],
         )
     if complaint["type"] == "list_type" and (key,) in _TABLES:
         given = f"[{key}]" if isinstance(complaint["input"], dict) else in_short(complaint["input"])
         return InputError(
             f"{key}: {given} in {path.name} must be a list of tables; write [[{key}]]",
-            field=key,
             value=complaint["input"],
         )
     if complaint["type"] == "missing":
-        return InputError(f"{key}: {path.name}: required key missing", field=key)
+        return InputError(f"{key}: {path.name}: required key missing")
     message = complaint["msg"].removeprefix("Value error, ")
     return InputError(
-        f"{key}: {in_short(complaint['input'])} given in {path.name}; {message}",
-        field=key,
-        value=complaint["input"],
+        f"{key}: {in_short(complaint['input'])} given in {path.name}; {message}", value=complaint["input"]
     )

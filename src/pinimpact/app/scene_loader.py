@@ -162,7 +162,6 @@ def _control(table: ControlTable | None, model: pin.Model, start: Array) -> dict
     if table.delay > 0.0 and table.period is None:
         raise InputError(
             "control.delay: only a sampled control has a delay; set control.period too, or remove the delay",
-            field="control.delay",
             value=table.delay,
         )
     return {"control": _law(table, model, start), "period": table.period, "delay": table.delay}
@@ -174,7 +173,6 @@ def _law(table: ControlTable, model: pin.Model, start: Array) -> JointPD | Joint
     if limited and table.cancel_gravity:
         raise InputError(
             "control.largest_effort: not possible with cancel_gravity; remove one of the two",
-            field="control.largest_effort",
             value=table.largest_effort,
         )
     drives = JointPD(table.stiffness, table.damping, start, table.largest_effort)
@@ -191,7 +189,7 @@ def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
     for index, table in enumerate(file.robot):
         key = f"robot[{index}]"
         if (table.name is None) == (table.urdf is None):
-            raise InputError(f"{key}: give either name = ... or urdf = ...", field=key, value=table.name)
+            raise InputError(f"{key}: give either name = ... or urdf = ...", value=table.name)
         source = table.name if table.name is not None else folder / str(table.urdf)
         robot = load_robot(source, table.free_flyer)
         rotation = pin.rpy.rpyToMatrix(*(table.rpy or (0.0, 0.0, 0.0)))
@@ -207,7 +205,6 @@ def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
             raise InputError(
                 f"{key}.velocity: the base of {source} is fixed; set free_flyer = true, or remove "
                 "the velocity",
-                field=f"{key}.velocity",
                 value=table.velocity,
             )
         parts.append(Placed(robot, table.prefix, pose))
@@ -221,7 +218,7 @@ def _start(start: StartTable, robot: pin.RobotWrapper, v0: Array) -> tuple[Array
     v = np.array(v0 if start.v is None else start.v, dtype=float)
     for key, vector, size in (("start.q", q, model.nq), ("start.v", v, model.nv)):
         if vector.shape != (size,):
-            raise InputError(f"{key}: {len(vector)} numbers given, {size} expected", field=key, value=vector)
+            raise InputError(f"{key}: {len(vector)} numbers given, {size} expected", value=vector)
     for name, value in start.joints.items():
         joint, straight = _single_joint(model, "start.joints", name)
         number = _quantity(f"start.joints.{name}", value, "length" if straight else "angle")
@@ -239,14 +236,11 @@ def _single_joint(model: pin.Model, key: str, name: str) -> tuple[int, bool]:
     joint = model.getJointId(name)
     if joint == model.njoints:
         names = list(model.names)[1:]
-        raise UnknownNameError(
-            f"{key}: no joint is called {name!r}; {near_matches(name, names)}", field=key, value=name
-        )
+        raise UnknownNameError(f"{key}: no joint is called {name!r}; {near_matches(name, names)}", value=name)
     if model.nvs[joint] != 1:
         raise InputError(
             f"{key}: {name} has {model.nvs[joint]} degrees of freedom; set them with start.q and start.v, "
             "or those of a free base in its [[robot]] table",
-            field=key,
             value=name,
         )
     return joint, model.joints[joint].shortname().startswith("JointModelP")
@@ -256,7 +250,7 @@ def _quantity(key: str, value: float | str, kind: str) -> float:
     try:
         return quantity(value, kind)
     except ValueError as error:
-        raise InputError(f"{key}: {error}", field=key, value=value) from None
+        raise InputError(f"{key}: {error}", value=value) from None
 
 
 class _Linked(NamedTuple):
@@ -277,9 +271,7 @@ def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked
     for index, table in enumerate(tables):
         if table in tables[:index]:
             raise InputError(
-                f"contact[{index}]: the same as contact[{tables.index(table)}]; remove one",
-                field=f"contact[{index}]",
-                value=table.frame,
+                f"contact[{index}]: the same as contact[{tables.index(table)}]; remove one", value=table.frame
             )
     labels = [table.name or f"{table.geometry or table.frame} on {table.plane}" for table in tables]
     labels = numbered(labels, [not table.name for table in tables])
@@ -290,9 +282,7 @@ def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked
         given = [name for name in ("frame", "geometry", "links") if getattr(table, name) is not None]
         if len(given) != 1:
             what = " and ".join(given) or "none"
-            raise InputError(
-                f"{key}: {what} given; give one of frame, geometry and links", field=key, value=given
-            )
+            raise InputError(f"{key}: {what} given; give one of frame, geometry and links", value=given)
         if given != ["frame"]:
             _check_shape_table(key, table)
         surface = _surface(key, table.plane, file)
@@ -313,7 +303,6 @@ def _check_shape_table(key: str, table: ContactTable) -> None:
         if name in table.model_fields_set:
             raise InputError(
                 f"{key}.{name}: applies to a frame, not to a geometry or links; remove it",
-                field=f"{key}.{name}",
                 value=getattr(table, name),
             )
 
@@ -327,7 +316,7 @@ def _surface(key: str, name: str, file: SceneFile) -> Surface:
         trouble = f"no {wanted} in the file; {near_matches(name, known)}"
         if kinds:
             trouble = f"{name!r} is both a {' and a '.join(kinds)}; give each its own name"
-        raise UnknownNameError(f"{key}.plane: {trouble}", field=f"{key}.plane", value=name)
+        raise UnknownNameError(f"{key}.plane: {trouble}", value=name)
     surface = file.surfaces[kinds[0]][name]
     with _at(key):
         values: dict[str, Any] = {"name": name, **surface.model_dump()}

@@ -100,10 +100,9 @@ def _distribution(key: str, table: dict[str, float | str]) -> Any:
         raise UnknownNameError(
             f"over.{key}.distribution: {name!r} is not a continuous distribution of scipy.stats; "
             f"{near_matches(name, known)}",
-            field=f"over.{key}.distribution",
             value=name,
         )
     try:
         return getattr(stats, str(name))(**parameters)
     except TypeError as error:
-        raise InputError(f"over.{key}: {name} has other parameters ({error})", field=f"over.{key}") from error
+        raise InputError(f"over.{key}: {name} has other parameters ({error})") from error

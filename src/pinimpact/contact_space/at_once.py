@@ -27,9 +27,7 @@ def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
 
     if inputs.law != "poisson" and inputs.restitution.any():
         raise LawError(
-            f'law: {inputs.law!r} given, but "together" has only Poisson\'s law (or e = 0)',
-            field="law",
-            value=inputs.law,
+            f'law: {inputs.law!r} given, but "together" has only Poisson\'s law (or e = 0)', value=inputs.law
         )
     n = len(inputs.velocity)
     velocity = inputs.velocity.ravel()
@@ -63,16 +61,12 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
 
     if inputs.friction.any():
         raise InputError(
-            'friction: "reflect" is frictionless; all coefficients must be 0',
-            field="friction",
-            value=inputs.friction,
+            'friction: "reflect" is frictionless; all coefficients must be 0', value=inputs.friction
         )
     e = float(inputs.restitution.max(initial=0.0))
     if (inputs.restitution != e).any():
         raise InputError(
-            'restitution: "reflect" takes one coefficient for all contacts',
-            field="restitution",
-            value=inputs.restitution,
+            'restitution: "reflect" takes one coefficient for all contacts', value=inputs.restitution
         )
     n = len(inputs.velocity)
     start = inputs.velocity.ravel()
@@ -86,7 +80,6 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
             named = ", ".join(map(str, np.flatnonzero(velocity[2::3] < -rest).tolist()))
             raise PinimpactError(
                 f'simultaneous: after {count} reflections contacts {named} still approach; use "propagate"',
-                field="simultaneous",
                 value="reflect",
             )
         struck = np.flatnonzero(velocity[2::3] < -rest)

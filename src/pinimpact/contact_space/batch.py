@@ -142,11 +142,7 @@ def solve_impacts(
     matrices = np.ascontiguousarray(real_numbers("delassus", delassus))
     velocities = np.ascontiguousarray(real_numbers("velocity", velocity))
     if velocities.ndim not in (1, 2) or velocities.shape[-1] != 3:
-        raise InputError(
-            f"velocity: shape {velocities.shape} given, (N, 3) or (3,) expected",
-            field="velocity",
-            value=velocity,
-        )
+        raise InputError(f"velocity: shape {velocities.shape} given, (N, 3) or (3,) expected", value=velocity)
     lengths = [len(a) for a, once in ((velocities, 1), (matrices, 2)) if a.ndim > once]
     scale = 0.0 if velocity_scale is None else velocity_scale
     named = {"friction": friction, "restitution": restitution, "velocity_scale": scale}
@@ -160,16 +156,13 @@ def solve_impacts(
     if matrices.shape != (count, 3, 3):
         raise InputError(
             f"delassus: shape {matrices.shape} given, ({count}, 3, 3) expected to match velocity",
-            field="delassus",
             value=delassus,
         )
     coefficients = []
     for name, array in numbers.items():
         if array.shape not in ((), (count,)):
             raise InputError(
-                f"{name}: shape {array.shape} given, a number or ({count},) expected",
-                field=name,
-                value=named[name],
+                f"{name}: shape {array.shape} given, a number or ({count},) expected", value=named[name]
             )
         coefficients.append(np.array(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients

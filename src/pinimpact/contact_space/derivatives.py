@@ -128,7 +128,5 @@ def check_derivatives(wanted: bool, what: str) -> None:
     """Refuse derivatives of what has none yet."""
     if wanted:
         raise InputError(
-            f'derivatives: not available for {what}; they are those of one contact by "exact"',
-            field="derivatives",
-            value=wanted,
+            f'derivatives: not available for {what}; they are those of one contact by "exact"', value=wanted
         )

@@ -54,7 +54,6 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
         raise InputError(
             f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, but W and its "
             f"transpose differ by {asymmetry:.6g}",
-            field="delassus",
             value=problem.delassus,
         )
     delassus = 0.5 * (delassus + delassus.T)
@@ -64,7 +63,6 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
     if eigenvalues[0] < -least:
         raise InputError(
             f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {eigenvalues[0]:.6g}",
-            field="delassus",
             value=problem.delassus,
         )
     find_law(problem.law)
@@ -86,12 +84,11 @@ def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: 
     if array.shape not in ((), (n,)):
         raise InputError(
             f"{name}: shape {array.shape} given, a number or ({n},), one for each contact, expected",
-            field=name,
             value=value,
         )
     for number in np.atleast_1d(array).tolist():
         if not (low <= number <= high and np.isfinite(number)):
-            raise InputError(f"{name}: {number!r} given, {right} expected", field=name, value=value)
+            raise InputError(f"{name}: {number!r} given, {right} expected", value=value)
     return np.array(np.broadcast_to(array, (n,)))
 
 
@@ -147,6 +144,5 @@ def refuse(inputs: ManyInputs) -> None:
         f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at "
         f"the {len(inputs.velocity)} contacts can stop all of them; the mechanism cannot move "
         "along the normals",
-        field="velocity",
         value=inputs.velocity,
     )

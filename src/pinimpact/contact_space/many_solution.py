@@ -192,9 +192,7 @@ class ManySolution:
         """
         low, high = factors_of(stiffness)
         if not isinstance(draws, int) or draws < 0:
-            raise InputError(
-                f"draws: {in_short(draws)} given, an integer ≥ 0 expected", field="draws", value=draws
-            )
+            raise InputError(f"draws: {in_short(draws)} given, an integer ≥ 0 expected", value=draws)
         assert self.story.again is not None  # every answer of `solve_impact` has it
         n = len(self.velocity)
         corners = itertools.product((low, high), repeat=n) if n <= MOST_CORNERS else ()
@@ -252,7 +250,6 @@ def factors_of(stiffness: tuple[float, float]) -> tuple[float, float]:
         raise InputError(
             f"stiffness: {in_short(stiffness)} given, the least and the largest factor expected, such as "
             "(0.1, 10)",
-            field="stiffness",
             value=stiffness,
         )
     return low, high

@@ -59,13 +59,11 @@ def register_method(name: str, method: Method, *, replace: bool = False) -> None
     if name == "exact" and name in _methods:
         raise InputError(
             'name: "exact" cannot be replaced, because robots and scenes use it; choose another name',
-            field="name",
             value=name,
         )
     if name in _methods and not replace:
         raise InputError(
             f"name: a method {name!r} is registered already; choose another name, or set replace=True",
-            field="name",
             value=name,
         )
     _methods[name] = method
@@ -98,7 +96,7 @@ def checked_rtol(rtol: Any, least: float) -> float:
     """Return `rtol` as a float, or raise `InputError`."""
     if not isinstance(rtol, (int, float, np.floating)) or not least <= float(rtol) <= 0.1:
         expected = f"a number from {least:g} to 0.1 expected"
-        raise InputError(f"rtol: {in_short(rtol)} given, {expected}", field="rtol", value=rtol)
+        raise InputError(f"rtol: {in_short(rtol)} given, {expected}", value=rtol)
     return float(rtol)
 
 
@@ -111,7 +109,6 @@ def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array,
         raise PinimpactError(
             f"{name}: with {value:g} the impact takes too many steps; slip lasts far longer than "
             f'|v₃|/c (v₃ = {inputs[8]:.6g} m/s, c = {inputs[5]:.6g}) or creeps; use "exact"',
-            field=name,
             value=value,
         )
     return result

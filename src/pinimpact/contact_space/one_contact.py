@@ -28,16 +28,10 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
     if status == Status.INVALID_NUMBERS:
         for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
             if not np.isfinite(values).all():
-                raise InputError(
-                    f"{name}: {values} contains numbers that are not finite", field=name, value=values
-                )
+                raise InputError(f"{name}: {values} contains numbers that are not finite", value=values)
         if not (0.0 <= mu < float("inf")):
-            raise InputError(
-                f"friction: {mu!r} given, a finite number ≥ 0 expected", field="friction", value=mu
-            )
-        raise InputError(
-            f"restitution: {e!r} given, a number from 0 to 1 expected", field="restitution", value=e
-        )
+            raise InputError(f"friction: {mu!r} given, a finite number ≥ 0 expected", value=mu)
+        raise InputError(f"restitution: {e!r} given, a number from 0 to 1 expected", value=e)
     if status == Status.INDEFINITE_DELASSUS:
         norm = float(
             np.linalg.norm(
@@ -52,7 +46,6 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
         raise InputError(
             f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {figure:.6g}, "
             f"below −{ZERO * norm:.3g} (32 ε ‖W‖)",
-            field="delassus",
             value=inputs[:6],
         )
     if status == Status.UNSTOPPABLE:
@@ -62,7 +55,6 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
         raise UnstoppableApproachError(
             f"velocity: the contact approaches at {v3:.6g} m/s and no normal impulse can stop it: "
             f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). {why}, or correct v",
-            field="velocity",
             value=v3,
         )
     if status == Status.LAW_UNREACHABLE:
@@ -71,7 +63,6 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
         raise LawError(
             f"law: {law!r} with e = {e:.6g} cannot be met: v₃ converges to a limit below it "
             f"({figure:.6g} missing); use {others}, or a smaller restitution",
-            field="law",
             value=law,
         )
     if status == Status.OUT_OF_RANGE:
@@ -80,7 +71,7 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
             field="delassus",
             value=inputs[:9],
         )
-    raise PinimpactError(f"{status} Please report this problem: {inputs}")
+    raise PinimpactError(f"{status} Please report this problem, {inputs}")
 
 
 def solve_inputs(
@@ -98,7 +89,6 @@ def solve_inputs(
             if name not in known:
                 raise UnknownNameError(
                     f"{name}: unknown option of {method!r}, which takes {', '.join(known) or 'no options'}",
-                    field=name,
                     value=options[name],
                 )
         run = partial(run, **options)

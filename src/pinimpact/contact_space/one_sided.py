@@ -29,7 +29,7 @@ def check_side(side: int | None, without: str = "") -> None:
         return
     what = f"not available for {without}" if without else f"{in_short(side)} given; 1 or −1 is expected"
     if without or isinstance(side, bool) or side not in (1, -1):
-        raise InputError(f"side: {what}", field="side", value=side)
+        raise InputError(f"side: {what}", value=side)
 
 
 def fill_one_sided(

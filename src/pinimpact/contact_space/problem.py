@@ -85,7 +85,6 @@ def _factor(problem: ImpactProblem, upper: tuple[float, ...]) -> Array:
         raise InputError(
             f"factor: X Xᵀ = {made.tolist()} (upper triangle), which is not W; for a robot "
             "X = J L⁻¹ with M = LᵀL",
-            field="factor",
             value=given,
         )
     C = np.zeros((3, 3))
@@ -109,7 +108,6 @@ def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, fl
             raise InputError(
                 f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, "
                 f"but W and its transpose differ by {asymmetry:.6g}{single_precision_hint(delassus)}",
-                field="delassus",
                 value=delassus,
             )
         w12, w13, w23 = 0.5 * (w12 + w21), 0.5 * (w13 + w31), 0.5 * (w23 + w32)

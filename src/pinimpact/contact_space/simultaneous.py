@@ -76,7 +76,6 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
             raise UnknownNameError(
                 f"{name}: unknown option of {simultaneous!r}, which takes "
                 f"{', '.join(policy.options) or 'no options'}",
-                field=name,
                 value=options[name],
             )
     inputs = many_inputs(problem)

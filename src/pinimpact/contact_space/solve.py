@@ -68,16 +68,13 @@ def solve_impact(
     """
     if not isinstance(problem, ImpactProblem):
         raise InputError(
-            f"problem: {type(problem).__name__} given; an ImpactProblem is expected",
-            field="problem",
-            value=problem,
+            f"problem: {type(problem).__name__} given; an ImpactProblem is expected", value=problem
         )
     check_side(side, "" if derivatives else "impacts without derivatives=True")
     if np.ndim(problem.velocity) == 2 or simultaneous is not None:
         if np.ndim(problem.velocity) != 2:
             raise InputError(
                 f"velocity: shape {np.shape(problem.velocity)} given, (n, 3) expected with simultaneous=",
-                field="velocity",
                 value=problem.velocity,
             )
         check_derivatives(derivatives, "n contacts")

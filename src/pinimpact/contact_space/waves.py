@@ -35,9 +35,7 @@ def propagate_waves(
 
     if real_number("exponent", exponent) not in (1.0, 1.5):
         raise InputError(
-            f"exponent: {in_short(exponent)} given, 1 (linear) or 1.5 (Hertz) expected",
-            field="exponent",
-            value=exponent,
+            f"exponent: {in_short(exponent)} given, 1 (linear) or 1.5 (Hertz) expected", value=exponent
         )
     rtol = checked_rtol(rtol, LEAST_RTOL)
     n = len(inputs.velocity)

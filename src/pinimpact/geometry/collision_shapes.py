@@ -53,7 +53,7 @@ def collision_model(robot: Any) -> pin.GeometryModel:
             "a pinocchio Model has no collision shapes; give the RobotWrapper that has them, or "
             "pinocchio.RobotWrapper(model, collision_model)"
         )
-    raise InputError(f"geometry: {what}", field="geometry", value=robot)
+    raise InputError(f"geometry: {what}", value=robot)
 
 
 def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
@@ -68,7 +68,7 @@ def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
         if not found:
             names = (shape.name for shape in shapes.geometryObjects)
             what = f"no collision shape is called {name!r}; {near_matches(name, names)}"
-        raise UnknownNameError(f"geometry: {what}", field="geometry", value=name)
+        raise UnknownNameError(f"geometry: {what}", value=name)
     return found[0]
 
 
@@ -87,7 +87,6 @@ def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
     raise ModelError(
         f"geometry: {shape.name!r} is attached to joint {joint}, which has no frame; add one: "
         f"model.addJointFrame({joint})",
-        field="geometry",
         value=shape.name,
     )
 
@@ -115,7 +114,6 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
         raise InputError(
             f"geometry: {shape.name!r} is a {kind}, which is not supported; a box, sphere, capsule, "
             "cylinder, cone, triangle, convex shape or mesh can touch a surface",
-            field="geometry",
             value=shape.name,
         )
     return tips._replace(radius=tips.radius + swept_radius(solid))
@@ -244,7 +242,7 @@ def extreme_points(points: Array, name: str) -> Array:
     """
     if len(points) == 0 or not np.isfinite(points).all():
         what = "has no vertices" if len(points) == 0 else "has vertices that are not finite"
-        raise ModelError(f"geometry: the mesh of {name!r} {what}", field="geometry", value=name)
+        raise ModelError(f"geometry: the mesh of {name!r} {what}", value=name)
     from scipy.spatial import ConvexHull, QhullError
 
     points = np.unique(points, axis=0)
@@ -279,7 +277,6 @@ def shapes_of_links(
         if link not in names:
             raise UnknownNameError(
                 f"links: no link {in_short(link)} has a collision shape; {near_matches(link, names)}",
-                field="links",
                 value=link,
             )
     return [shape for name, shape in found if name in wanted]

@@ -167,7 +167,7 @@ def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
 
     points = np.asarray(points, dtype=np.float64)
     if not np.isfinite(points).all():
-        raise InputError(f"geometry: {name!r} has points that are not finite", field="geometry", value=points)
+        raise InputError(f"geometry: {name!r} has points that are not finite", value=points)
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError) as error:
@@ -175,7 +175,6 @@ def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
         raise InputError(
             f"geometry: the {len(points)} points of {name!r} have no convex hull with a volume "
             f"({reason}); only shapes with a volume can make contact with another shape",
-            field="geometry",
             value=points,
         ) from None
     vertices = points[found.vertices]

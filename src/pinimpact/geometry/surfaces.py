@@ -112,9 +112,7 @@ def unit_vector(
     largest = max(abs(x), abs(y), abs(z))
     if largest == 0.0:
         raise InputError(
-            f"{field}: {(x, y, z)} has no direction; give {meaning}, of any length but zero",
-            field=field,
-            value=value,
+            f"{field}: {(x, y, z)} has no direction; give {meaning}, of any length but zero", value=value
         )
     _, exponent = math.frexp(largest)  # scaling by a power of two is exact and keeps squares in range
     x, y, z = math.ldexp(x, -exponent), math.ldexp(y, -exponent), math.ldexp(z, -exponent)
@@ -127,9 +125,7 @@ def check_frame_key(field: str, value: object, *, optional: bool = False) -> Non
     if optional and value is None:
         return
     if isinstance(value, bool) or not isinstance(value, (str, int, np.integer)):
-        raise InputError(
-            f"{field}: {in_short(value)} is neither the name nor the id of a frame", field=field, value=value
-        )
+        raise InputError(f"{field}: {in_short(value)} is neither the name nor the id of a frame", value=value)
 
 
 def contact_axes(normal: ArrayLike) -> NDArray[np.float64]:

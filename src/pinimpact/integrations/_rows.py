@@ -25,7 +25,7 @@ Of = TypeVar("Of")
 def refuse_single_precision(kind: Any, name: str, remedy: str) -> None:
     """Raise `InputError` for an argument whose type of numbers is not float64."""
     if "float64" not in str(kind):
-        raise InputError(f"{name}: {kind} given, double precision expected; {remedy}", field=name, value=kind)
+        raise InputError(f"{name}: {kind} given, double precision expected; {remedy}", value=kind)
 
 
 class ContactRows:
@@ -194,9 +194,7 @@ def _check_shapes(
     for name, shape, own in zip(names, shapes, expected, strict=False):
         if tuple(shape[-len(own) :]) != own:
             text = ", ".join(map(str, own))
-            raise InputError(
-                f"{name}: shape {tuple(shape)} given, (..., {text}) expected", field=name, value=shape
-            )
+            raise InputError(f"{name}: shape {tuple(shape)} given, (..., {text}) expected", value=shape)
 
 
 def _rows(given: Sequence[Array], axes: Sequence[int]) -> tuple[tuple[int, ...], list[Array]]:

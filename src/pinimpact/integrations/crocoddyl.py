@@ -22,9 +22,7 @@ from ..scene.stepper import Stepper
 try:
     import crocoddyl
 except ImportError as error:
-    raise InputError(
-        "crocoddyl: not installed; pip install 'pinimpact[crocoddyl]'", field="crocoddyl", value=None
-    ) from error
+    raise InputError("crocoddyl: not installed; pip install 'pinimpact[crocoddyl]'", value=None) from error
 
 
 class ActionModelImpact(crocoddyl.ActionModelAbstract):
@@ -46,9 +44,7 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
     def __init__(self, state: Any, contacts: Contact | Sequence[Contact], costs: Any) -> None:
         found = as_tuple("contacts", contacts, Contact, "a Contact")
         if not found or not all(isinstance(contact, Contact) for contact in found):
-            raise InputError(
-                f"contacts: {in_short(contacts)} given, Contacts expected", field="contacts", value=contacts
-            )
+            raise InputError(f"contacts: {in_short(contacts)} given, Contacts expected", value=contacts)
         _check_gravity()
         super().__init__(state, 0, costs.nr)
         self.contacts, self.costs = found if len(found) > 1 else found[0], costs
@@ -135,9 +131,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
         nu, free = costs.nu, scene.model.nqs[1] == 7
         if nu != nv and not (free and nu == nv - 6):
             raise InputError(
-                f"costs: nu = {nu} given, {f'{nv} or {nv - 6}' if free else nv} expected",
-                field="costs",
-                value=costs,
+                f"costs: nu = {nu} given, {f'{nv} or {nv - 6}' if free else nv} expected", value=costs
             )
         check_supported(scene)
         _check_gravity()
@@ -233,6 +227,5 @@ def _check_gravity() -> None:
         raise InputError(
             f"crocoddyl: a body falls at {-data.xout[0]:g} m/s² instead of 9.81; this Crocoddyl was built "
             f"for another Pinocchio than {pin.__version__}; pip install 'pinimpact[crocoddyl]'",
-            field="crocoddyl",
             value=crocoddyl.__version__,
         )

@@ -17,7 +17,7 @@ try:
     import jax
     import jax.numpy as jnp
 except ImportError as error:
-    raise InputError("jax: not installed; pip install 'pinimpact[jax]'", field="jax", value=None) from error
+    raise InputError("jax: not installed; pip install 'pinimpact[jax]'", value=None) from error
 
 REMEDY = 'call jax.config.update("jax_enable_x64", True) first'
 

@@ -18,9 +18,7 @@ try:
     import torch
     from torch.autograd.function import once_differentiable
 except ImportError as error:
-    raise InputError(
-        "torch: not installed; pip install 'pinimpact[torch]'", field="torch", value=None
-    ) from error
+    raise InputError("torch: not installed; pip install 'pinimpact[torch]'", value=None) from error
 
 REMEDY = "convert it by .double()"
 

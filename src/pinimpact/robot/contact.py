@@ -109,7 +109,6 @@ class Contact:
             raise InputError(
                 f"rim: {self.rim:g} m given, but a rim can make contact with planes only, not "
                 f"with a {self.plane.kind}",
-                field="rim",
                 value=self.rim,
             )
 
@@ -126,15 +125,12 @@ class Contact:
         """Check the surface, and that there is either a frame or a collision shape."""
         check_frame_key("frame", self.frame)
         if not isinstance(self.name, (str, type(None))):
-            raise InputError(
-                f"name: {in_short(self.name)} given; text is expected", field="name", value=self.name
-            )
+            raise InputError(f"name: {in_short(self.name)} given; text is expected", value=self.name)
         check_surface("plane", self.plane)
         if self.geometry is None and self.plane.code == SOLID:
             raise InputError(
                 f"plane: only a collision shape can make contact with a {self.plane.kind}; give "
                 "geometry= instead of a frame",
-                field="plane",
                 value=self.plane,
             )
         if self.geometry is None:
@@ -152,7 +148,6 @@ class Contact:
         if what:
             raise InputError(
                 f"geometry: {what}; give frame, or geometry, the name of a collision shape",
-                field="geometry",
                 value=self.geometry,
             )
 
@@ -239,7 +234,6 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
         raise InputError(
             f"geometry: {shape.name!r} is a {found.kind}, which can make contact with planes "
             f"only, not with a {contact.plane.kind}",
-            field="geometry",
             value=shape.name,
         )
     frame = shape_frame(model, shape)
@@ -272,20 +266,17 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
 def check_surface(field: str, value: Any) -> None:
     """Refuse what is no surface."""
     if not isinstance(value, Surface):
-        raise InputError(
-            f"{field}: {in_short(value)} is not a Plane, Sphere, Box or Shape", field=field, value=value
-        )
+        raise InputError(f"{field}: {in_short(value)} is not a Plane, Sphere, Box or Shape", value=value)
 
 
 def check_contact(field: str, value: Any) -> None:
     """Raise an error for anything but a `Contact` of one point."""
     if not isinstance(value, Contact):
-        raise InputError(f"{field}: {in_short(value)} is not a Contact", field=field, value=value)
+        raise InputError(f"{field}: {in_short(value)} is not a Contact", value=value)
     if value.geometry is not None:
         raise InputError(
             f"{field}: {value.label!r} is a contact of a collision shape, which has no single "
             "point here; give one of its contact.tips(robot)",
-            field=field,
             value=value,
         )
 

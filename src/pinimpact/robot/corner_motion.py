@@ -69,8 +69,7 @@ class Corner(NamedTuple):
         if moved is None:
             raise InputError(
                 f"sensitivities: {self.pair.contact.label!r} is of a rounded shape and an edge or a corner, "
-                "where they are not known in time steps",
-                field="sensitivities",
+                "where they are not known in time steps"
             )
         shifts[:, :3] = moved
         shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)

@@ -123,7 +123,6 @@ def _parents(model: pin.Model, data: Any) -> np.ndarray:
         raise InputError(
             f"data: {type(data).__name__} given, pinocchio Data expected: model.createData(), or a "
             "RobotWrapper's .data",
-            field="data",
             value=data,
         )
     if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
@@ -148,9 +147,7 @@ def _parents(model: pin.Model, data: Any) -> np.ndarray:
 
 def _foreign(data: pin.Data, how: str) -> InputError:
     return InputError(
-        f"data: made for another robot, {how}; make new data with model.createData()",
-        field="data",
-        value=data,
+        f"data: made for another robot, {how}; make new data with model.createData()", value=data
     )
 
 
@@ -160,7 +157,6 @@ def outdated(model: pin.Model, data: Any) -> InputError:
         f"data: made for another model or before this one was changed "
         f"({len(data.oMi)} joints, {len(data.oMf)} frames, {len(data.M)} velocities; the model has "
         f"{model.njoints}, {model.nframes}, {model.nv}); make new data with model.createData()",
-        field="data",
         value=data,
     )
 
@@ -202,7 +198,5 @@ def checked_configuration(cache: DataCache, model: pin.Model, q: Any) -> np.ndar
 def not_normalized(q: np.ndarray) -> InputError:
     """Return the error for a configuration in which a quaternion is not of unit length."""
     return InputError(
-        "q: a quaternion or (cos, sin) pair is not of unit length; use pinocchio.normalize(model, q)",
-        field="q",
-        value=q,
+        "q: a quaternion or (cos, sin) pair is not of unit length; use pinocchio.normalize(model, q)", value=q
     )

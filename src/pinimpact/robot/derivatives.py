@@ -101,7 +101,6 @@ def check_joints(model: pin.Model) -> None:
             raise ModelError(
                 f"model: joint {name!r} is a {kind}, whose axes turn within the joint; derivatives are not "
                 "available for it",
-                field="model",
                 value=name,
             )
 
@@ -127,7 +126,6 @@ def slope_of_restitution(contact: Contact, speed: float) -> float:
         raise InputError(
             "restitution: a function of the approach speed without derivative; give it an attribute `slope`, "
             "a function that returns de/dv for a speed",
-            field="restitution",
             value=contact.restitution,
         )
     return float(slope(speed))
@@ -301,7 +299,6 @@ def _of_shape(
         raise InputError(
             f"contact: {contact.label!r} touches at {len(points)} points at this q; derivatives are for "
             "contact at one point",
-            field="contact",
             value=contact,
         )
     found = derivatives_at_point(robot, data, q, v, points[0], *rest)

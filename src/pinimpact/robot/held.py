@@ -47,7 +47,6 @@ def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact]
                 f"held: {anchor.label!r} moves at {speed:.3g} m/s relative to its surface before "
                 "the impact; a held contact must be at rest there: correct v, or remove it from "
                 "held",
-                field="held",
                 value=anchor,
             )
 

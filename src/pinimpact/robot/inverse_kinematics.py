@@ -72,7 +72,7 @@ def place_in_contact(
         cache.warn_of_limits(given, stacklevel=3)
     wanted = as_tuple("contacts", contacts, (Contact, str), "a Contact")
     if not wanted:
-        raise InputError("contacts: none given; give those to be closed", field="contacts", value=contacts)
+        raise InputError("contacts: none given; give those to be closed", value=contacts)
     for contact in wanted:
         check_contact("contacts", contact)
     search = _Search(model, data, given, wanted)
@@ -94,7 +94,6 @@ def place_in_contact(
             f"contacts: {what} from this q within the joint limits: a gap of {best.gap:.3g} m "
             f"remains{f' at {best.contact.label!r}' if len(wanted) > 1 else ''}; start closer, or "
             "move the surface",
-            field="contacts",
             value=best.gap,
         )
     return search.configuration(best.x)

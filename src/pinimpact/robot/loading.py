@@ -67,7 +67,6 @@ def load_robot(
     if re.match(r"[a-z]{2,}:/", name):  # a Path leaves out one of two slashes
         raise InputError(
             f"robot: {re.sub(':/+', '://', name, count=1)} is a URL; download the file, and give its path",
-            field="robot",
             value=name,
         )
     if isinstance(robot, str) and name in models:
@@ -84,13 +83,11 @@ def load_robot(
         raise UnknownNameError(
             f"robot: {name!r} is neither a robot's name nor the path of a file; "
             f"{near_matches(name, [*models, *ROBOTS])}",
-            field="robot",
             value=robot,
         )
     if not any(inertia.mass > 0.0 for inertia in wrapper.model.inertias):
         raise ModelError(
             f"robot: {name} has no inertia: no link that a joint moves has a mass; give its links <inertial>",
-            field="robot",
             value=name,
         )
     if mimic is False:
@@ -114,7 +111,6 @@ def _checked(
     if not isinstance(robot, (str, Path)):
         raise InputError(
             f"robot: {type(robot).__name__} given; the name of a robot or the path of a file is expected",
-            field="robot",
             value=robot,
         )
     folders: tuple[str | Path, ...] = as_tuple(
@@ -122,7 +118,7 @@ def _checked(
     )
     for folder in folders:
         if not file_path("package_dirs", folder).expanduser().is_dir():
-            raise InputError(f"package_dirs: there is no folder {folder}", field="package_dirs", value=folder)
+            raise InputError(f"package_dirs: there is no folder {folder}", value=folder)
     for field, flag in (("free_flyer", free_flyer), ("mimic", mimic)):
         if flag is not None:
             truth_value(field, flag)
@@ -139,16 +135,16 @@ def _from_example_robot_data(name: str, free_flyer: bool | None) -> tuple[Path, 
         if "SDF" in str(error):
             raise _no_sdf(name) from error
         raise ModelError(
-            f"robot: example-robot-data cannot load {name}: {str(error).strip()}", field="robot", value=name
+            f"robot: example-robot-data cannot load {name}: {str(error).strip()}", value=name
         ) from error
     return Path(loaded.df_path), loaded.robot
 
 
 def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path]) -> pin.RobotWrapper:
     if path.is_dir():
-        raise ModelError(f"robot: {path} is a folder; give a file in it", field="robot", value=str(path))
+        raise ModelError(f"robot: {path} is a folder; give a file in it", value=str(path))
     if not path.is_file():
-        raise ModelError(f"robot: there is no file {path}", field="robot", value=str(path))
+        raise ModelError(f"robot: there is no file {path}", value=str(path))
     root_joint = (pin.JointModelFreeFlyer(),) if free_flyer else ()
     kind = _kind_of(path)
     if kind == "mujoco":
@@ -161,16 +157,13 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
         raise ModelError(
             f"robot: {path} is a xacro file; convert it to a URDF file first: xacro {path.name} > "
             f"{path.with_suffix('.urdf').name}",
-            field="robot",
             value=str(path),
         )
     try:
         model = pin.buildModelFromUrdf(str(path), *root_joint)
     except Exception as error:  # urdfdom and Pinocchio raise what they like
         raise ModelError(
-            f"robot: {path} is not a URDF file that Pinocchio can read: {str(error).strip()}",
-            field="robot",
-            value=str(path),
+            f"robot: {path} is not a URDF file that Pinocchio can read: {str(error).strip()}", value=str(path)
         ) from error
     _check_masses(path)
     folders = [str(Path(folder).expanduser()) for folder in package_dirs]
@@ -204,7 +197,6 @@ def _no_sdf(what: str | Path) -> ModelError:
     return ModelError(
         f"robot: {what} is an SDF file, and this Pinocchio is built without SDFormat (as the pip "
         "package is); use a URDF or MJCF file of the robot",
-        field="robot",
         value=str(what),
     )
 
@@ -216,7 +208,6 @@ def _check_masses(path: Path) -> None:
                 raise ModelError(
                     f"robot: {path}: the mass of link {link.get('name')!r} is negative "
                     f"({mass.get('value')} kg); a mass is at least 0",
-                    field="robot",
                     value=str(path),
                 )
 

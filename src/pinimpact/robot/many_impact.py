@@ -111,7 +111,7 @@ def impact_at_many(
 def check_many(contacts: Sequence[Contact], held: Sequence[Contact]) -> tuple[Contact, ...]:
     """Refuse what are no contacts, or none; return the held contacts."""
     if not contacts:
-        raise InputError("contact: no contact given", field="contact", value=contacts)
+        raise InputError("contact: no contact given", value=contacts)
     for contact in contacts:
         check_contact("contact", contact)
     return check_held(held)

@@ -37,7 +37,6 @@ def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
     if not parts or len(set(prefixes)) < len(prefixes):
         raise InputError(
             f"robot: {len(parts)} robots with the prefixes {prefixes}; give each its own prefix",
-            field="robot",
             value=prefixes,
         )
     if len(parts) == 1 and not parts[0].prefix and parts[0].placement.isIdentity():

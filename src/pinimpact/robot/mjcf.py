@@ -32,9 +32,7 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         root = ElementTree.parse(path).getroot()
     except Exception as error:  # Pinocchio raises what it likes
         raise ModelError(
-            f"robot: {path} is not an MJCF file that Pinocchio can read: {_last_line(error)}",
-            field="robot",
-            value=str(path),
+            f"robot: {path} is not an MJCF file that Pinocchio can read: {_last_line(error)}", value=str(path)
         ) from error
     gravity = root.find("option[@gravity]")
     if gravity is not None:

@@ -26,7 +26,6 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
         if not 0 <= key < model.nframes:
             raise UnknownNameError(
                 f"{field}: there is no frame {key}; this model's frames are 0 to {model.nframes - 1}",
-                field=field,
                 value=key,
             )
         return int(key)
@@ -34,7 +33,6 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     if not ids:
         raise UnknownNameError(
             f"{field}: no frame is called {key!r}; {near_matches(key, (f.name for f in model.frames))}",
-            field=field,
             value=key,
         )
     if len(ids) > 1:
@@ -44,9 +42,7 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
             for i in ids
         )
         raise UnknownNameError(
-            f"{field}: {len(ids)} frames are called {key!r}; give the id of one of them: {bearers}",
-            field=field,
-            value=key,
+            f"{field}: {len(ids)} frames are called {key!r}; give the id of one of them: {bearers}", value=key
         )
     return ids[0]
 
@@ -135,9 +131,7 @@ def single_joints(model: pin.Model) -> dict[str, int]:
 def _not_stiffened(what: str, value: Any) -> InputError:
     """Return the error for what has no joint to stiffen."""
     return InputError(
-        f"stiffening: {what}; it is for joints with one velocity, others can only be locked",
-        field="stiffening",
-        value=value,
+        f"stiffening: {what}; it is for joints with one velocity, others can only be locked", value=value
     )
 
 
@@ -146,15 +140,11 @@ def _joint_id(model: pin.Model, key: Any, field: str) -> int:
     joint = model.getJointId(key) if isinstance(key, str) else whole_number(field, key, 0)
     if isinstance(key, str) and joint == model.njoints:
         raise UnknownNameError(
-            f"{field}: no joint is called {key!r}; {near_matches(key, list(model.names)[1:])}",
-            field=field,
-            value=key,
+            f"{field}: no joint is called {key!r}; {near_matches(key, list(model.names)[1:])}", value=key
         )
     if not 0 < joint < model.njoints:
         raise UnknownNameError(
-            f"{field}: there is no joint {key}; this model's joints are 1 to {model.njoints - 1}",
-            field=field,
-            value=key,
+            f"{field}: there is no joint {key}; this model's joints are 1 to {model.njoints - 1}", value=key
         )
     return int(joint)
 
@@ -182,9 +172,7 @@ def model_of(robot: Any) -> pin.Model:
     model = getattr(robot, "model", None)
     if not isinstance(model, pin.Model):
         raise InputError(
-            f"model: a pinocchio Model or RobotWrapper is expected, not {type(robot).__name__}",
-            field="model",
-            value=robot,
+            f"model: a pinocchio Model or RobotWrapper is expected, not {type(robot).__name__}", value=robot
         )
     return model
 
@@ -226,6 +214,5 @@ def singular_mass(model: pin.Model, velocity: int) -> ModelError:
             )
     return ModelError(
         f"model: the mass matrix is not positive definite: joint {name!r} (velocity {velocity}) {reason}",
-        field="model",
         value=name,
     )

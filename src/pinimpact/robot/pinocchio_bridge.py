@@ -333,7 +333,7 @@ def flaw(model: pin.Model) -> str | None:
 
 def refuse(model: pin.Model) -> NoReturn:
     """Raise an error for a model for which Pinocchio gives wrong results."""
-    raise ModelError(f"model: {model.name!r} {flaw(model)}", field="model", value=model.name)
+    raise ModelError(f"model: {model.name!r} {flaw(model)}", value=model.name)
 
 
 def _check_joints(model: pin.Model) -> None:
@@ -345,7 +345,6 @@ def _check_joints(model: pin.Model) -> None:
             f"model: Pinocchio has no forward dynamics of mimic joints ({', '.join(mimics)}), so "
             "a scene cannot have them; load the robot without them (load_robot(…, mimic=False)), "
             "or use impact() instead of a scene",
-            field="model",
             value=mimics,
         )
 

@@ -27,7 +27,7 @@ def joint_reactions(placed: PlacedRobot, change: Array, contacts: Sequence[Conta
     """
     model, data = placed.model, placed.data
     if isinstance(data, Forest):
-        raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
+        raise InputError("data: a Forest given; a pinocchio Data is expected", value=data)
     outside = [pin.Force.Zero() for _ in range(model.njoints)]
     for contact, push in zip(contacts, pushes, strict=True):
         at = placed.geometry(contact).point

@@ -138,7 +138,6 @@ class Hit:
         if len(contacts) != 1 + len(self.held_impulses):
             raise InputError(
                 f"held: {len(contacts) - 1} given, {len(self.held_impulses)} of the impact expected",
-                field="held",
                 value=held,
             )
         change = self.v - finite_array("v", v, self.v.shape)

@@ -141,7 +141,6 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
         raise InputError(
             f"contacts: {a.name!r} and {b.name!r} cannot move relative to each other: they belong "
             "to the same body",
-            field="contacts",
             value=contact,
         )
     return ShapePair(contact, a, b)

@@ -89,7 +89,6 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
         raise InputError(
             f"geometry: {name!r} has a swept-sphere radius of {swept:g} m, which is possible with "
             "planes only; set it to 0",
-            field="geometry",
             value=name,
         )
     if type(solid).__name__ in ("Cylinder", "Cone"):
@@ -98,7 +97,6 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
                 f"rim_points: {name!r} is a {type(solid).__name__.lower()}, whose smooth rims can "
                 "make contact with planes only; give rim_points=, the number of points of each "
                 "rim (for instance 24)",
-                field="rim_points",
                 value=None,
             )
         return hull(shape_tips(shapes, found, rim_points).centres, name)
@@ -133,9 +131,7 @@ class Solid(Surface):
         Raises:
             InputError: Always.
         """
-        raise InputError(
-            f"plane: the distance of a point from {self.label!r} is not known", field="plane", value=self
-        )
+        raise InputError(f"plane: the distance of a point from {self.label!r} is not known", value=self)
 
 
 def _sides(field: str, value: Any) -> Vector:
@@ -194,7 +190,6 @@ class Shape(Solid):
         if not isinstance(self.geometry, str) or not self.geometry:
             raise InputError(
                 f"geometry: {in_short(self.geometry)} is not the name of a collision shape",
-                field="geometry",
                 value=self.geometry,
             )
         check_rim_points(self.rim_points)
@@ -219,7 +214,6 @@ def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
         raise InputError(
             f"plane: {surface.label!r} has a surface velocity, which is possible with points and "
             "spheres only; attach the surface to a moving body instead",
-            field="plane",
             value=surface,
         )
     placement = pin.SE3(np.eye(3), np.array(surface.center))

@@ -41,7 +41,7 @@ def check_rims(placed: PlacedRobot, contacts: Iterable[Contact]) -> None:
     """
     for contact in contacts:
         if contact.rim > 0.0 and float(np.linalg.norm(tilt_of_rim(placed, contact))) <= ROUNDING:
-            raise InputError(f"contact: {flat_rim(contact)}", field="contact", value=contact)
+            raise InputError(f"contact: {flat_rim(contact)}", value=contact)
 
 
 def tilt_of_rim(placed: PlacedRobot, contact: Contact) -> Array:

@@ -147,7 +147,7 @@ class Alternating(TimeStepping):
             return
         if crowded or ended(self.instant, count) > BY_EVENTS * count:
             raise IrregularMotionError(
-                f"scene: {count} steps cover {covered:.3g} s, with active contacts: {closed}", field="scene"
+                f"scene: {count} steps cover {covered:.3g} s, with active contacts: {closed}"
             )
 
     def _cross(self, refusal: IrregularMotionError) -> None:

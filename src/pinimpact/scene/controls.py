@@ -33,20 +33,14 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
     try:
         tau = real_numbers("tau", control(t, q, v), f"an array of {nv} real numbers")
     except Exception as error:
-        raise SimulationError(
-            f"control: {type(error).__name__} at t = {t:.6g} s: {error}", field="control"
-        ) from error
+        raise SimulationError(f"control: {type(error).__name__} at t = {t:.6g} s: {error}") from error
     if tau.shape != (nv,):
         raise SimulationError(
-            f"control: an array of shape {tau.shape} returned at t = {t:.6g} s; ({nv},) expected",
-            field="control",
-            value=tau,
+            f"control: an array of shape {tau.shape} returned at t = {t:.6g} s; ({nv},) expected", value=tau
         )
     if not np.isfinite(tau).all():
         raise SimulationError(
-            f"control: {tau.tolist()} returned at t = {t:.6g} s; numbers in it are not finite",
-            field="control",
-            value=tau,
+            f"control: {tau.tolist()} returned at t = {t:.6g} s; numbers in it are not finite", value=tau
         )
     return tau
 
@@ -95,14 +89,12 @@ class JointPD:
             raise InputError(
                 f"control: the joint {joint!r} does not have exactly one coordinate, so a JointPD "
                 "cannot drive it; give kp and kd as (nv,) with zeros there, or a function",
-                field="control",
                 value=joint,
             )
         for j in velocity[~(limits[velocity] > 0.0)].tolist():
             raise InputError(
                 f"limits: {limits[j]} given for the joint {joint_of_velocity(model, j)!r}, an effort > 0 "
                 "expected",
-                field="limits",
                 value=limits[j],
             )
         q_ref = finite_array("q_ref", self.q_ref, (model.nq,))
@@ -160,7 +152,7 @@ def _gains(name: str, value: ArrayLike, floating: NDArray[np.bool_]) -> Array:
     wrong = ~(numbers >= 0.0) | ((name != "limits") & np.isinf(numbers))
     if wrong.any():
         found = float(numbers[wrong][0])
-        raise InputError(f"{name}: {found} given, numbers ≥ 0 expected", field=name, value=value)
+        raise InputError(f"{name}: {found} given, numbers ≥ 0 expected", value=value)
     return numbers
 
 

@@ -116,15 +116,11 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
     for name in without:
         if isinstance(name, str) and name in DERIVED:
             raise InputError(
-                f"without: {name!r} depends on each impact and cannot be switched off",
-                field="without",
-                value=name,
+                f"without: {name!r} depends on each impact and cannot be switched off", value=name
             )
         if not isinstance(name, str) or name not in SWITCHABLE:
             raise UnknownNameError(
-                f"without: unknown effect {in_short(name)}; {near_matches(name, SWITCHABLE)}",
-                field="without",
-                value=name,
+                f"without: unknown effect {in_short(name)}; {near_matches(name, SWITCHABLE)}", value=name
             )
     return without
 

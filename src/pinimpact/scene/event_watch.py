@@ -131,7 +131,6 @@ class EventWatch:
             raise SimulationError(
                 f"events: {value} returned by the guard of {event.label!r} at t = {t:.6g} s; a "
                 "number expected",
-                field="events",
                 value=value,
             )
         return value
@@ -177,6 +176,5 @@ def _counts(event: Event, before: float, after: float) -> bool:
 
 def _failure(event: Event, what: str, t: float, error: Exception) -> SimulationError:
     return SimulationError(
-        f"events: {type(error).__name__} in the {what} of {event.label!r} at t = {t:.6g} s: {error}",
-        field="events",
+        f"events: {type(error).__name__} in the {what} of {event.label!r} at t = {t:.6g} s: {error}"
     )

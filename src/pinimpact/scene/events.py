@@ -78,7 +78,7 @@ class Event:
 
 
 def _refused(field: str, value: Any, expected: str) -> InputError:
-    return InputError(f"events: {field}={in_short(value)} given; {expected}", field="events", value=value)
+    return InputError(f"events: {field}={in_short(value)} given; {expected}", value=value)
 
 
 def as_events(events: Any) -> tuple[Event, ...]:
@@ -94,9 +94,7 @@ def as_events(events: Any) -> tuple[Event, ...]:
         if not isinstance(item, Event):
             if not callable(item):
                 raise InputError(
-                    f"events: {in_short(item)} is neither an Event nor a function of (t, q, v)",
-                    field="events",
-                    value=item,
+                    f"events: {in_short(item)} is neither an Event nor a function of (t, q, v)", value=item
                 )
             item = Event(
                 item, terminal=getattr(item, "terminal", False), direction=getattr(item, "direction", 0)
@@ -107,7 +105,6 @@ def as_events(events: Any) -> tuple[Event, ...]:
         if labels.count(label) > 1:
             raise InputError(
                 f"events: {labels.count(label)} events are called {label!r}; give each its own name=",
-                field="events",
                 value=label,
             )
     return tuple(found)

@@ -233,8 +233,7 @@ class GroupJump:
             elif contact.pair is not None:
                 raise InputError(
                     f"sensitivities: {contact.label!r}, a contact of two collision shapes, takes part in an "
-                    f"impact at several contacts at t = {record.time:.6g} s; they are not available there",
-                    field="sensitivities",
+                    f"impact at several contacts at t = {record.time:.6g} s; they are not available there"
                 )
             self._contacts.append(contact)
         limits = [dynamics.limits[i - count] for i in group.sources if i >= count]

@@ -175,15 +175,13 @@ class Instant:
             if jams > MOST_JAMS:
                 raise IrregularMotionError(
                     f"scene: {jams - 1} impacts without collision at t = {self.state.t:.6g} s do not "
-                    f"end, the last at {_last(resolved)}; less friction may help",
-                    field="scene",
+                    f"end, the last at {_last(resolved)}; less friction may help"
                 )
             struck = self._without_forces(before, jammed)
             if not struck:
                 raise IrregularMotionError(
                     f"contacts: neither forces nor impulses were found for what touches at t = "
-                    f"{self.state.t:.6g} s; less friction may help",
-                    field="contacts",
+                    f"{self.state.t:.6g} s; less friction may help"
                 )
             resolved += struck
         self._keep(resolved)
@@ -192,7 +190,7 @@ class Instant:
         """Refuse to go on where so much touches, in so many islands, that time steps are cheaper by far."""
         contacts = np.flatnonzero(self._where[: self.dynamics.work.contacts] != APART)
         if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
-            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch", field="scene")
+            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch")
 
     def collide(self, touching: float, slowest: float) -> None:
         """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.
@@ -293,8 +291,7 @@ class Instant:
         if impact is None or not impact.struck or beyond > len(touching):
             raise IrregularMotionError(
                 f"scene: {len(before)} impacts at t = {self.state.t:.6g} s do not end, the last at "
-                f'{_last(before)}; use simultaneous="propagate"',
-                field="scene",
+                f'{_last(before)}; use simultaneous="propagate"'
             )
         self.note(without_end(len(before), [fields["source"] for fields in before]))
         self._warn_of_bound()

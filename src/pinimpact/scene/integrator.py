@@ -90,9 +90,7 @@ class Integrator:
         self, scene: Scene, q0: ArrayLike, v0: ArrayLike, options: Options, state: HybridState | None = None
     ) -> None:
         if not isinstance(scene, Scene):
-            raise InputError(
-                f"scene: {type(scene).__name__} given; a Scene is expected", field="scene", value=scene
-            )
+            raise InputError(f"scene: {type(scene).__name__} given; a Scene is expected", value=scene)
         self._made_of = scene, q0, v0, options
         self.scene, self.options, without = scene, options.checked(), scene.without
         model = self.model = altered_model(scene.model, without)
@@ -319,7 +317,6 @@ class Integrator:
                 return IrregularMotionError(
                     f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
                     "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
-                    field="rtol",
                     value=work.rtol,
                 )
             method, work.method = self._method(trial), 0

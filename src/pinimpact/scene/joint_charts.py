@@ -36,7 +36,6 @@ def joint_table(model: pin.Model) -> NDArray[np.int64]:
             raise ModelError(
                 f"model: joint {name!r} is a {kind_name} with {nq} coordinates and {nv} velocities, which a "
                 "simulation cannot integrate; build the model from its simple joints",
-                field="model",
                 value=name,
             )
     return np.array(rows, dtype=np.int64).reshape(-1, 4)

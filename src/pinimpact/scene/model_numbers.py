@@ -36,6 +36,4 @@ def _first(faults: NDArray[np.bool_]) -> list[int]:
 
 
 def _refused(field: str, value: object, expected: str) -> ModelError:
-    return ModelError(
-        f"model.{field}: {value} given, {expected} expected", field=f"model.{field}", value=value
-    )
+    return ModelError(f"model.{field}: {value} given, {expected} expected", value=value)

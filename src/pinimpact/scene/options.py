@@ -42,7 +42,7 @@ def check_numbers(**numbers: float) -> None:
     for name, value in numbers.items():
         number = real_number(name, value)
         if not number > 0.0 or (name in ("duration", "dt", "atol") and not math.isfinite(number)):
-            raise InputError(f"{name}: {number!r} given, a number > 0 expected", field=name, value=value)
+            raise InputError(f"{name}: {number!r} given, a number > 0 expected", value=value)
         if name == "rtol" and number > LARGEST_RTOL:
             raise InputError(
                 f"rtol: {number!r} given, a number up to {LARGEST_RTOL} expected", field=name, value=value

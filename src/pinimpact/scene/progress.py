@@ -93,15 +93,13 @@ class Progress:
                 f"control: it jumps again and again, or is too stiff, at t = {t:.6g} s, "
                 f"where {count} steps cover {covered:.2g} s; "
                 "give dry friction as the model's friction, which also holds joints at rest, and sample a "
-                "control that switches, with period=",
-                field="control",
+                "control that switches, with period="
             )
         least = max(PROGRESS * fastest, self._instant.error(velocity))
         if not (moved > least or covered > STALLED * scale):
             return IrregularMotionError(
                 f"scene: {count} steps at t = {t:.6g} s without progress; the contact modes do not "
-                "converge; a larger resting_speed may help",
-                field="scene",
+                "converge; a larger resting_speed may help"
             )
         self.mark()
         return None
@@ -116,8 +114,7 @@ class Progress:
         if drift > DRIFTED * self._tolerance:
             raise IrregularMotionError(
                 f"contacts: the constraint drift reaches {drift:.3g} m or rad in a step at "
-                f"t = {self._state.t:.6g} s, so that the conditions of their modes contradict each other",
-                field="contacts",
+                f"t = {self._state.t:.6g} s, so that the conditions of their modes contradict each other"
             )
 
     def check_friction(self, step: DenseStep, until: float) -> None:
@@ -145,8 +142,7 @@ class Progress:
         ):
             raise IrregularMotionError(
                 f"scene: friction would give {gained:.3g} J at t = {state.t:.6g} s, so that the modes of "
-                "contact are none; a smaller rtol may help",
-                field="scene",
+                "contact are none; a smaller rtol may help"
             )
 
     def count_impacts(self, before: int) -> None:
@@ -165,6 +161,5 @@ class Progress:
                 f"the last at {last}; "
                 "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
                 "otherwise raise max_impacts",
-                field="max_impacts",
                 value=self._options.max_impacts,
             )

@@ -64,9 +64,7 @@ class Rims:
             contact, size = self._dynamics.contacts[k], float(np.linalg.norm(tilt))
             if 2.0 * contact.rim * size <= self._dynamics.work.touching_gap or size < least:
                 raise SimulationError(
-                    f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}",
-                    field="contacts",
-                    value=contact,
+                    f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact
                 )
 
     def _tilts(self, rims: list[int], q: Array) -> list[Array]:

@@ -403,17 +403,13 @@ def saltation_matrix(
     integrator = Integrator(scene, q, v, Options(max_impacts=1))
     saltation = Saltation(scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv))
     if name not in [one.label for one in scene.contacts]:
-        raise UnknownNameError(
-            f"contact: the scene has no contact {in_short(contact)}", field="contact", value=contact
-        )
+        raise UnknownNameError(f"contact: the scene has no contact {in_short(contact)}", value=contact)
     integrator.state.t = float(t)
     integrator.begin()
     impacts = integrator.record.impacts
     if [record.source for record in impacts] != [name]:
         struck = ", ".join(repr(record.source) for record in impacts) or "nothing"
-        raise InputError(
-            f"contact: {struck} collides in this state instead of {name!r} alone", field="contact", value=name
-        )
+        raise InputError(f"contact: {struck} collides in this state instead of {name!r} alone", value=name)
     work = integrator.work
     after = saltation.before(impacts[0], None)
     after.v, after.closed = integrator.state.v, ClosedSet.of(work, np.zeros(0, dtype=np.int64))

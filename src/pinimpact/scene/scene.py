@@ -96,9 +96,7 @@ class Scene:
             assign(self, "geometry", getattr(self.model, "collision_model", None))
         elif not isinstance(self.geometry, pin.GeometryModel):
             raise InputError(
-                f"geometry: {in_short(self.geometry)} is not a pinocchio GeometryModel",
-                field="geometry",
-                value=self.geometry,
+                f"geometry: {in_short(self.geometry)} is not a pinocchio GeometryModel", value=self.geometry
             )
         assign(self, "model", model_of(self.model))
         check_numbers(self.model)
@@ -119,7 +117,6 @@ class Scene:
         elif self.control is not None and not callable(self.control):
             raise InputError(
                 f"control: {in_short(self.control)} is neither a function of (t, q, v) nor a JointPD",
-                field="control",
                 value=self.control,
             )
         self._check_sampling()
@@ -128,7 +125,6 @@ class Scene:
         if self.resting_speed is not None and not at_least_zero("resting_speed", self.resting_speed) > 0.0:
             raise InputError(
                 f"resting_speed: {self.resting_speed!r} given, a speed > 0 [m/s] expected",
-                field="resting_speed",
                 value=self.resting_speed,
             )
 
@@ -184,15 +180,12 @@ class Scene:
             assign(self, "period", above_zero("period", self.period))
             if self.control is None:
                 raise InputError(
-                    f"period: {self.period!r} given, but no control= to sample",
-                    field="period",
-                    value=self.period,
+                    f"period: {self.period!r} given, but no control= to sample", value=self.period
                 )
         elif self.delay > 0.0:
             raise InputError(
                 f"delay: {self.delay!r} given without a period; only a sampled control has a "
                 "delay, set period=",
-                field="delay",
                 value=self.delay,
             )
 
@@ -209,14 +202,12 @@ class Scene:
             if counts[label] > 1:
                 raise InputError(
                     f"contacts: {counts[label]} contacts are called {label!r}; give each its own name=",
-                    field="contacts",
                     value=label,
                 )
             if label in limits | rubbing:
                 raise InputError(
                     f"contacts: {label!r} is the name of a contact and of a joint "
                     f"{'limit' if label in limits else 'with dry friction'}; give the contact another name=",
-                    field="contacts",
                     value=label,
                 )
 
@@ -376,7 +367,6 @@ def _named(contacts: Sequence[Contact]) -> list[Contact]:
         if count > 1:
             raise InputError(
                 f"contacts: {contact.label!r} is given twice; leave one out, or give each its own name=",
-                field="contacts",
                 value=contact,
             )
     labels = numbered([c.label for c in contacts], [c.name is None for c in contacts])
@@ -414,6 +404,5 @@ def _check_surface_motion(field: str, contact: Contact) -> None:
         raise InputError(
             f"{field}: the {contact.plane.kind} of {contact.label!r} {departure}; in a scene a "
             "surface can move only within itself; attach it to a moving body instead",
-            field=field,
             value=contact,
         )

@@ -164,7 +164,6 @@ class SceneImpacts:
             raise SimulationError(
                 f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but held "
                 "contacts or locked joints keep the joint from moving; remove them there",
-                field="locked",
                 value=limit.name,
             )
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(of_limit, c, -approach, e))
@@ -211,7 +210,7 @@ class SceneImpacts:
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
         if len(chosen) > most and not any(e):
             raise IrregularMotionError(
-                f"scene: {len(chosen)} contacts take part in an impact", field="scene", value=len(chosen)
+                f"scene: {len(chosen)} contacts take part in an impact", value=len(chosen)
             )
         policy = self.policy
         if limit:

@@ -114,7 +114,7 @@ def check_supported(scene: Scene) -> None:
                 event,
             )
     if what:
-        raise InputError(f"sensitivities: not available with {what}", field="sensitivities", value=value)
+        raise InputError(f"sensitivities: not available with {what}", value=value)
 
 
 def parse(scene: Scene, names: Any) -> tuple[str, ...]:
@@ -127,28 +127,20 @@ def parse(scene: Scene, names: Any) -> tuple[str, ...]:
             raise InputError(
                 f'sensitivities: {in_short(name)} given; "state", "friction:CONTACT" or '
                 '"restitution:CONTACT" expected',
-                field="sensitivities",
                 value=name,
             )
         found = next((one for one in scene.contacts if one.label == label), None)
         if name != "state" and found is None:
             raise UnknownNameError(
-                f"sensitivities: {name!r} given, but the scene has no contact {label!r}",
-                field="sensitivities",
-                value=name,
+                f"sensitivities: {name!r} given, but the scene has no contact {label!r}", value=name
             )
         if found is not None and found.pair is not None:
             raise InputError(
                 f"sensitivities: {name!r} is of a contact of two shapes; available are those by the state",
-                field="sensitivities",
                 value=name,
             )
         if found is not None and kind == "restitution" and callable(found.restitution):
-            raise InputError(
-                f"sensitivities: {name!r} given, but its restitution is a function",
-                field="sensitivities",
-                value=name,
-            )
+            raise InputError(f"sensitivities: {name!r} given, but its restitution is a function", value=name)
     return names
 
 
@@ -393,8 +385,7 @@ class Sensitivities:
         if called:
             raise InputError(
                 f"sensitivities: the event {called[0].name!r} ends a time step at t = "
-                f"{called[0].time:.6g} s, where they are not available",
-                field="sensitivities",
+                f"{called[0].time:.6g} s, where they are not available"
             )
 
     def _through_time_step(
@@ -407,8 +398,7 @@ class Sensitivities:
         if self._slopes.continuous:
             raise InputError(
                 "sensitivities: not available with a continuous control in time steps, as at "
-                f"t = {step.start:.6g} s; give the scene a period=",
-                field="sensitivities",
+                f"t = {step.start:.6g} s; give the scene a period="
             )
         self._refuse(called)
         self._hold(max(k - 1, 0))

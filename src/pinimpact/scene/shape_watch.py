@@ -103,7 +103,6 @@ class ShapeWatch(TouchingPoints):
             raise IrregularMotionError(
                 f"contacts: the shapes of {watched.label!r} neither touch nor separate near t = "
                 f"{step.start:.6g} s; their distance stays within rounding",
-                field="contacts",
                 value=watched.label,
             )
         return found
@@ -153,7 +152,6 @@ class ShapeWatch(TouchingPoints):
                     f"contacts: {watched.label!r} penetrates by {depth:.3g} m at t = {end:.6g} s, "
                     "beyond its contact points: corners may have met corners or edges exactly; "
                     "start slightly beside it",
-                    field="contacts",
                     value=watched.label,
                 )
         return best

@@ -142,6 +142,5 @@ def stop(integrator: Integrator, error: PinimpactError) -> NoReturn:
     raise SimulationError(
         f"{error.field}: the simulation stops at t = {reached.t[-1]:.6g} s: {type(error).__name__}: {error}",
         partial=reached,
-        field=error.field,
         value=error.value,
     ) from error

@@ -109,7 +109,6 @@ def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: 
             raise InputError(
                 f"q0: the held contact {dynamics.contacts[i].label!r} starts {gaps[i]:.6g} m from its "
                 "surface; start with it there, or put the surface where it is held",
-                field="q0",
                 value=float(gaps[i]),
             )
     dynamics.hold_at(np.where(np.arange(len(gaps)) < held.start, 0.0, gaps))
@@ -120,7 +119,6 @@ def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: 
                 f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} "
                 "m/s relative to its surface; start with it at rest there, or remove it from "
                 "held",
-                field="v0",
                 value=speed,
             )
 
@@ -134,5 +132,5 @@ def state_at(model: pin.Model, data: Any, q0: ArrayLike, v0: ArrayLike) -> Hybri
     try:
         q = checked_configuration(data_cache(model, data), model, q0).copy()
     except InputError as error:
-        raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
+        raise InputError(f"q0: {str(error).removeprefix('q: ')}", value=q0) from None
     return HybridState(0.0, q, finite_array("v0", v0, (model.nv,)).copy())

@@ -80,7 +80,6 @@ class Stepper:
         if isinstance(scene, Scene) and scene.control is not None:
             raise InputError(
                 "scene: it has a control, but a Stepper takes the forces of step(tau, dt); remove control=",
-                field="scene",
                 value=scene,
             )
         self._scene = scene
@@ -126,14 +125,11 @@ class Stepper:
         until = integrator.state.t + float(dt)
         if not until > integrator.state.t:
             raise InputError(
-                f"dt: {dt!r} given, which is too small to change t = {integrator.state.t:.6g} s",
-                field="dt",
-                value=dt,
+                f"dt: {dt!r} given, which is too small to change t = {integrator.state.t:.6g} s", value=dt
             )
         if self._failed:
             raise SimulationError(
-                f"scene: the motion has stopped at t = {integrator.state.t:.6g} s; reset(q, v) restarts",
-                field="scene",
+                f"scene: the motion has stopped at t = {integrator.state.t:.6g} s; reset(q, v) restarts"
             )
         self._failed = True
         try:

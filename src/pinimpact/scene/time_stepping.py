@@ -247,14 +247,12 @@ class TimeStepping(Integrator):
         if not np.isfinite(found.v_end).all():
             raise IrregularMotionError(
                 f"scene: the velocities grow beyond all numbers at t = {t:.6g} s; a control may be unstable, "
-                "for instance with gains that are too high for its period",
-                field="scene",
+                "for instance with gains that are too high for its period"
             )
         if off > FAILED:
             raise IrregularMotionError(
                 f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
-                f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help",
-                field="scene",
+                f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help"
             )
 
     def _let_rest(

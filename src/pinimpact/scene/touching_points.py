@@ -207,9 +207,7 @@ class TouchingPoints:
             found = gap(*placed)
             if found.value < -within:
                 raise IrregularMotionError(
-                    f"contacts: {watched.label!r} overlaps by {-found.value:.3g} m",
-                    field="contacts",
-                    value=watched.label,
+                    f"contacts: {watched.label!r} overlaps by {-found.value:.3g} m", value=watched.label
                 )
             if found.value <= within:
                 touching = touches(*placed, found.normal, max(within, abs(found.value)))
@@ -251,7 +249,6 @@ class TouchingPoints:
                 f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more "
                 f"than the {len(watched.places)} that two such faces can share; corners may "
                 "differ by rounding",
-                field="contacts",
                 value=watched.label,
             )
         for i, touch in zip(free, fresh, strict=False):
@@ -295,7 +292,6 @@ class TouchingPoints:
                     raise IrregularMotionError(
                         f"contacts: {watched.label!r} rests {kind}, where its normal is not "
                         "determined; start slightly beside it, or give one of the shapes a radius",
-                        field="contacts",
                         value=watched.label,
                     )
 

@@ -255,9 +255,7 @@ class Trajectory:
         if self.sources is None or name in self.sources:
             return None
         raise UnknownNameError(
-            f"contact: no contact is called {in_short(name)}; {near_matches(name, self.sources)}",
-            field="contact",
-            value=name,
+            f"contact: no contact is called {in_short(name)}; {near_matches(name, self.sources)}", value=name
         )
 
     def _of_contact(
@@ -274,7 +272,7 @@ class Trajectory:
         """Return what a part of the forces is at one or at many times."""
         source = self._forces
         if source is None:
-            raise InputError("path: the file was written before forces were stored", field="path")
+            raise InputError("path: the file was written before forces were stored")
         _check_side(side)
         found = []
         times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
@@ -302,7 +300,6 @@ class Trajectory:
             raise UnknownNameError(
                 f"source: no contact, joint limit or joint is called {in_short(source)}; "
                 f"{near_matches(source, self.sources)}",
-                field="source",
                 value=source,
             )
         end = float(self.t[-1])
@@ -323,9 +320,7 @@ class Trajectory:
         slack = ROUNDING * max(abs(start), abs(end))
         if not start - slack <= time <= end + slack:
             raise InputError(
-                f"t: {in_short(t)} lies outside the trajectory, from {start:.6g} s to {end:.6g} s",
-                field="t",
-                value=t,
+                f"t: {in_short(t)} lies outside the trajectory, from {start:.6g} s to {end:.6g} s", value=t
             )
         return min(max(time, start), end)
 
@@ -464,9 +459,7 @@ class Trajectory:
 
 def _check_side(side: str) -> None:
     if not isinstance(side, str) or side not in ("left", "right"):
-        raise InputError(
-            f'side: {in_short(side)} given, "left" or "right" expected', field="side", value=side
-        )
+        raise InputError(f'side: {in_short(side)} given, "left" or "right" expected', value=side)
 
 
 def _in_axes(forces: Forces | None, i: int | None) -> Array:

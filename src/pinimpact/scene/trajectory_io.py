@@ -154,7 +154,7 @@ def _opened(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the arrays of a file and the rest, or raise `InputError`."""
     path = file_path("path", path)
     if not path.is_file():
-        raise InputError(f"path: there is no file {path}", field="path", value=path)
+        raise InputError(f"path: there is no file {path}", value=path)
     try:
         if not zipfile.is_zipfile(path):
             raise ValueError("not a zip archive")
@@ -166,7 +166,6 @@ def _opened(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(
             f"path: {str(path)!r} is not a readable trajectory ({error}); give a file that save() wrote",
-            field="path",
             value=path,
         ) from error
     return arrays, meta

@@ -43,7 +43,7 @@ def identify_body(
         UnknownNameError: An unknown parameter or loss.
     """
     if not isinstance(found, FoundImpacts) or found.scene is None:
-        raise InputError("found: the result of studies.impacts is expected", field="found", value=found)
+        raise InputError("found: the result of studies.impacts is expected", value=found)
     scene = found.scene
     inertia = free_body(scene, "identify_body")
     kinds = as_tuple("free", free, str, "a parameter")

@@ -60,7 +60,7 @@ def compare(
     level = checks.level(level)
     (one, rows), (two, others) = _by_group("test", test), _by_group("other", other)
     if type(test) is not type(other) or (truth_value("paired", paired) and rows != others):
-        raise InputError("other: its errors are not of the data of test", field="other", value=other)
+        raise InputError("other: its errors are not of the data of test", value=other)
     options = {"confidence_level": level, "n_resamples": RESAMPLES, "rng": np.random.default_rng(seed)}
     difference = one.mean(axis=0) - two.mean(axis=0)
     if paired:
@@ -89,9 +89,7 @@ def _by_group(name: str, model: Any) -> tuple[Array, Sequence[Any]]:
     groups = list(dict.fromkeys(labels))
     if len(groups) < 2:
         raise InputError(
-            f"{name}: {in_short(model)} given; roll-outs or a fit of two or more groups expected",
-            field=name,
-            value=model,
+            f"{name}: {in_short(model)} given; roll-outs or a fit of two or more groups expected", value=model
         )
     which = np.array([groups.index(label) for label in labels])
     return np.array([errors[which == k].mean(axis=0) for k in range(len(groups))]), rows

@@ -200,7 +200,7 @@ class Report:
     def cheapest(self, target: float) -> tuple[Point | None, ...]:
         """Return for each problem the fastest point whose error is within `target`, or None."""
         if not 0.0 < target < math.inf:
-            raise InputError(f"target: {target!r} given, a number > 0 expected", field="target", value=target)
+            raise InputError(f"target: {target!r} given, a number > 0 expected", value=target)
         best = []
         for problem in self.problems:
             good = [p for p in self.points if p.problem == problem and p.error <= target]

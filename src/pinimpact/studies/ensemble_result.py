@@ -63,7 +63,7 @@ class Ensemble:
             what = (
                 "single impacts have no trajectories" if self._run is None else f"{len(self)} samples exist"
             )
-            raise InputError(f"sample: {sample} given; {what}", field="sample", value=sample)
+            raise InputError(f"sample: {sample} given; {what}", value=sample)
         return self._run(np.array([self.columns[name][row] for name in self.parameters], dtype=float))
 
     def to_dataframe(self) -> Any:
@@ -74,7 +74,7 @@ class Ensemble:
         name = choice("column", column, self.columns, "a column")
         values = self.columns[name]
         if values.dtype.kind not in "fiu":
-            raise InputError(f"column: {name!r} has text, numbers expected", field="column", value=name)
+            raise InputError(f"column: {name!r} has text, numbers expected", value=name)
         return np.asarray(values, dtype=float)
 
     def quantiles(
@@ -111,16 +111,13 @@ class Ensemble:
         """
         if self.design != "saltelli":
             raise InputError(
-                f'design: {self.design!r}, "saltelli" expected: run the ensemble with it',
-                field="design",
-                value=self.design,
+                f'design: {self.design!r}, "saltelli" expected: run the ensemble with it', value=self.design
             )
         values, d = self._numbers(column), len(self.parameters)
         if not np.isfinite(values).all():
             raise InputError(
                 f"column: {column!r} lacks a number in {counted(int((~np.isfinite(values)).sum()), 'row')}; "
                 "Sobol' indices need all",
-                field="column",
                 value=column,
             )
         blocks = values.reshape(d + 2, -1)

@@ -123,19 +123,16 @@ def _message(hits: Hits, row: int) -> str:
 def _checked_row(row: Any, taken: tuple[str, ...]) -> dict[str, Any]:
     """Return a row of numbers and texts by names that are not taken, or raise `InputError`."""
     if not isinstance(row, Mapping):
-        raise InputError(f"reduce: {in_short(row)} returned, a row by name expected", field="reduce")
+        raise InputError(f"reduce: {in_short(row)} returned, a row by name expected")
     for name, value in row.items():
         if not isinstance(name, str) or name in taken:
             raise InputError(
                 f"reduce: a column {name!r} returned; other names than {', '.join(taken)} expected",
-                field="reduce",
                 value=name,
             )
         if not isinstance(value, str) and (np.ndim(value) > 0 or not np.isrealobj(value) or value is None):
             raise InputError(
-                f"reduce: {name!r} is {in_short(value)}; a number or a text expected",
-                field="reduce",
-                value=value,
+                f"reduce: {name!r} is {in_short(value)}; a number or a text expected", value=value
             )
     return dict(row)
 
@@ -259,7 +256,7 @@ def _check(
         choice("scheme", given.arguments["scheme"], SCHEMES, "a scheme")
         Options(**numbers).checked()
     if keep and out is None:
-        raise InputError("keep: True given without out=, a folder for trajectories", field="keep", value=keep)
+        raise InputError("keep: True given without out=, a folder for trajectories", value=keep)
     function("reduce", reduce, "a function of a trajectory")
     if isinstance(executor, int):
         whole_number("executor", executor, 1)
@@ -267,7 +264,6 @@ def _check(
         raise InputError(
             f"executor: {in_short(executor)} given; None, a number of processes or a concurrent.futures."
             "Executor expected",
-            field="executor",
             value=executor,
         )
 
@@ -277,19 +273,16 @@ def _check_impact(sampling: Sampling, reduce: Any, keep: Any, options: Mapping[s
     scene = sampling.scene
     if len(scene.contacts) != 1:
         raise InputError(
-            f"duration: None given for a scene with {counted(len(scene.contacts), 'contact')}; one expected",
-            field="duration",
+            f"duration: None given for a scene with {counted(len(scene.contacts), 'contact')}; one expected"
         )
     unused = [name for name, on in (("reduce", reduce is not final_state), ("keep", keep)) if on]
     unused += [*options, *(["scene.without"] if scene.without else [])]
     if unused:
-        raise InputError(f"{unused[0]}: given with duration=None; an impact does not use it", field=unused[0])
+        raise InputError(f"{unused[0]}: given with duration=None; an impact does not use it")
     for name in sampling.names:
         if name.partition(":")[0] in ("sliding_friction", "stiffness"):
             raise InputError(
-                f"over: {name!r} given with duration=None; it does not change a single impact",
-                field="over",
-                value=name,
+                f"over: {name!r} given with duration=None; it does not change a single impact", value=name
             )
 
 
@@ -357,7 +350,6 @@ def _failed(what: str, pieces: _Pieces, executor: Executor | int) -> SimulationE
     return SimulationError(
         f"executor: {what} in samples {first} to {last}. What is finished is kept with out=; continue by "
         "resume=True",
-        field="executor",
         value=executor,
     )
 
@@ -369,7 +361,6 @@ def _check_pickles(task: _Task) -> None:
         raise InputError(
             f"scene: cannot be sent to other processes ({error}); use functions that are defined in a "
             "module, or executor=None",
-            field="scene",
             value=task.sampling.scene,
         ) from error
 

@@ -284,16 +284,13 @@ def group_numbers(group: Any, count: int) -> NDArray[np.int64]:
         labels = list(group) if isinstance(group, Iterable) else []
         if len(labels) != count or not all(isinstance(label, Hashable) for label in labels):
             raise InputError(
-                f"group: {in_short(group)} given; {count} labels, one for each row, are expected",
-                field="group",
-                value=group,
+                f"group: {in_short(group)} given; {count} labels, one for each row, are expected", value=group
             )
         order = {label: k for k, label in enumerate(dict.fromkeys(labels))}
         numbers = np.array([order[label] for label in labels])
     if count < 2 or numbers.max() < 1:
         raise InputError(
             "group: all rows are in one group; intervals that are robust to groups need two at least",
-            field="group",
             value=group,
         )
     return numbers.astype(np.int64)
@@ -321,7 +318,6 @@ def checked_bounds(
         raise InputError(
             f"free: {in_short(free)} given; bounds by name of parameter are expected, such as "
             f'{{"{next(iter(known))}": (0, 1)}}',
-            field="free",
             value=free,
         )
     checked = {}
@@ -362,7 +358,6 @@ def whitener(covariance: ArrayLike, count: int, size: int) -> Array:
     except np.linalg.LinAlgError:
         raise InputError(
             "covariance: a matrix is not a covariance; symmetric and positive definite ones are expected",
-            field="covariance",
             value=covariance,
         ) from None
     return np.linalg.inv(lower)

@@ -75,7 +75,6 @@ def as_found(found: Any, scene: Scene, contact: Any, group: Any) -> FoundImpacts
                 raise InputError(
                     f"contact: the scene has {counted(len(labels), 'contact')}; give the name of the one "
                     "that collides, or an array of names",
-                    field="contact",
                     value=contact,
                 )
             contact = labels[0]
@@ -87,9 +86,7 @@ def as_found(found: Any, scene: Scene, contact: Any, group: Any) -> FoundImpacts
     finite_array("v_after", found.v_after, (count, model.nv))
     if found.contact.shape != (count,):
         raise InputError(
-            f"contact: shape {found.contact.shape} given, ({count},) names expected",
-            field="contact",
-            value=found.contact,
+            f"contact: shape {found.contact.shape} given, ({count},) names expected", value=found.contact
         )
     for name in dict.fromkeys(found.contact.tolist()):
         choice("contact", name, labels, "a contact of the scene")
@@ -99,15 +96,13 @@ def as_found(found: Any, scene: Scene, contact: Any, group: Any) -> FoundImpacts
 def arrays_of(given: Any, what: str) -> tuple[Array, Array, Array]:
     """Return three arrays, the first axes of which are as long, or raise `InputError`."""
     if isinstance(given, FoundImpacts) or not isinstance(given, Sequence) or len(given) != 3:
-        raise InputError(f"found: {in_short(given)} given; {what} expected", field="found", value=given)
+        raise InputError(f"found: {in_short(given)} given; {what} expected", value=given)
     first, before, after = (real_numbers("found", part) for part in given)
     count = len(before) if before.ndim else 0
     if before.ndim != 2 or before.shape != after.shape or not first.ndim or len(first) != count:
         shapes = ", ".join(str(part.shape) for part in (first, before, after))
         raise InputError(
-            f"found: shapes {shapes} given; {what} with one row for each impact expected",
-            field="found",
-            value=given,
+            f"found: shapes {shapes} given; {what} with one row for each impact expected", value=given
         )
     return first, before, after
 
@@ -126,8 +121,6 @@ def free_body(scene: Scene, what: str) -> pin.Inertia:
     model = scene.model
     if model.njoints != 2 or model.joints[1].shortname() != "JointModelFreeFlyer":
         raise InputError(
-            f"scene: {what} is for one free body; {model.name!r} has {model.njoints - 1} joints",
-            field="scene",
-            value=scene,
+            f"scene: {what} is for one free body; {model.name!r} has {model.njoints - 1} joints", value=scene
         )
     return model.inertias[1]

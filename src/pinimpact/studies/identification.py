@@ -137,9 +137,7 @@ def identify(
     else:
         if fixed is not None:
             raise InputError(
-                "fixed: with a scene, its contacts have the coefficients that are not free",
-                field="fixed",
-                value=fixed,
+                "fixed: with a scene, its contacts have the coefficients that are not free", value=fixed
             )
         scene = in_impacts(scene)
         given = as_found(found, scene, contact, group)
@@ -228,9 +226,7 @@ def _checked(
         kind = name.partition(":")[0]
         effect = "contact friction" if kind in ("friction", "sliding_friction") else kind
         if scene is not None and effect in scene.without:
-            raise InputError(
-                f"free: {name} is free, but the scene is without {effect}", field="free", value=free
-            )
+            raise InputError(f"free: {name} is free, but the scene is without {effect}", value=free)
     return bounds
 
 
@@ -248,14 +244,10 @@ def _of_motions(
     for name, value in others.items():
         if value is not None:
             raise InputError(
-                f"{name}: given beside trajectories=; motions have their groups, and no {name}",
-                field=name,
-                value=value,
+                f"{name}: given beside trajectories=; motions have their groups, and no {name}", value=value
             )
     if scene is None:
-        raise InputError(
-            "scene: None given; trajectories= needs the scene of the body", field="scene", value=scene
-        )
+        raise InputError("scene: None given; trajectories= needs the scene of the body", value=scene)
     bounds = _checked(free, RANGES | SLIDING, scene)
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
@@ -285,9 +277,7 @@ def _no_setting(scene: Scene, name: str, value: float) -> Scene:
     """Refuse a stiffening for a scene: it is one of single impacts."""
     _, _, joint = name.partition(":")
     option = f"{{{joint!r}: {value:.6g}}}" if joint else f"{value:.6g}"
-    raise InputError(
-        f"scene: a scene has no {name}; use impact(…, stiffening={option})", field="scene", value=name
-    )
+    raise InputError(f"scene: a scene has no {name}; use impact(…, stiffening={option})", value=name)
 
 
 def _check_solved(batch: _Batch) -> None:
@@ -297,7 +287,6 @@ def _check_solved(batch: _Batch) -> None:
         raise InputError(
             f"found: impact {failed[0]} has no solution: {Status(int(batch.status[failed[0]]))} "
             f"({len(failed)} of {len(batch.status)} such impacts)",
-            field="found",
             value=failed.tolist(),
         )
 
@@ -309,7 +298,6 @@ def _of_arrays(
     if stiff := _stiffened(free):
         raise InputError(
             f"free: {stiff[0]} is of the joints of a robot; give (q, v_before, v_after) and a scene",
-            field="free",
             value=stiff,
         )
     W, before, after = arrays_of(found, "(delassus, v_before, v_after) without a scene")
@@ -323,9 +311,7 @@ def _of_arrays(
         if name not in free:
             if name not in fixed:
                 raise InputError(
-                    f"fixed: {name} is neither free nor fixed; give fixed={{{name!r}: …}}",
-                    field="fixed",
-                    value=fixed,
+                    f"fixed: {name} is neither free nor fixed; give fixed={{{name!r}: …}}", value=fixed
                 )
             row[:] = coefficient(name, fixed[name]) if name == "restitution" else fixed[name]
     weights = _energy_root(W) if covariance is None else whitener(covariance, count, 3) @ W
@@ -341,9 +327,7 @@ def _of_robot(
     laws = {contacts[name].law for name in found.contact.tolist()}
     if law is None and len(laws) > 1:
         raise InputError(
-            f"law: the contacts have the laws {', '.join(sorted(laws))}; give the one of the fit",
-            field="law",
-            value=law,
+            f"law: the contacts have the laws {', '.join(sorted(laws))}; give the one of the fit", value=law
         )
     all_of = matrices_of(found, scene)
     W = np.array([one.delassus for one in all_of])

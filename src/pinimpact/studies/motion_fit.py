@@ -66,7 +66,6 @@ def fit_motions(
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(
             f"executor: {in_short(executor)} given; None or a concurrent.futures.Executor expected",
-            field="executor",
             value=executor,
         )
     choice("loss", loss, LOSSES, "a loss")

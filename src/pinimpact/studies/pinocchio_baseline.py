@@ -47,9 +47,7 @@ def solve_constraint(
     W = finite_array("delassus", delassus, (3, 3))
     v = finite_array("velocity", velocity, (3,))
     if solver not in SOLVERS:
-        raise UnknownNameError(
-            f"solver: {solver!r} is not one of {', '.join(SOLVERS)}", field="solver", value=solver
-        )
+        raise UnknownNameError(f"solver: {solver!r} is not one of {', '.join(SOLVERS)}", value=solver)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     contact = pin.PointContactConstraintModel(model, joint)

@@ -54,7 +54,6 @@ class Posterior(Normal):
                 return drawn
         raise InputError(
             f"fitted: no draws about {self.mean.tolist()} are within the bounds; fit it with wider ones",
-            field="fitted",
             value=self.mean,
         )
 
@@ -79,7 +78,6 @@ def covariance_root(field: str, covariance: ArrayLike, size: int) -> Array:
     if not symmetric(matrix) or values.min() < -rounding:
         raise InputError(
             f"{field}: not a covariance; a symmetric matrix without negative eigenvalues expected",
-            field=field,
             value=covariance,
         )
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))

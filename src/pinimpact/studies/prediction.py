@@ -52,7 +52,7 @@ class Prediction:
         columns = self.ensemble.columns
         ended = columns["status"] == "OK"
         if not ended.any():
-            raise InputError("samples: none has an end; see ensemble.frequencies()", field="samples")
+            raise InputError("samples: none has an end; see ensemble.frequencies()")
         names = ("x", "y", "z", "qx", "qy", "qz", "qw")
         values = np.array([columns[f"q.{self.base}.{name}"][ended] for name in names], dtype=float).T
         return values[:, :3], Rotation.from_quat(values[:, 3:])
@@ -82,7 +82,7 @@ class Prediction:
         normals = np.array([finite_array(f"faces[{name!r}]", faces[name], (3,)) for name in names])
         sizes = np.linalg.norm(normals, axis=1)
         if len(names) == 0 or (sizes == 0.0).any():
-            raise InputError("faces: outward normals of any length but zero expected", field="faces")
+            raise InputError("faces: outward normals of any length but zero expected")
         _, turns = self._poses()
         up = turns.inv().apply([0.0, 0.0, 1.0])
         top = (up @ (normals / sizes[:, None]).T).argmax(axis=1)
@@ -159,22 +159,22 @@ def predict(
     model = scene.model
     free = [name for name, joint in zip(model.names, model.joints, strict=True) if joint.nq == 7]
     if not free:
-        raise InputError("scene: no body has a free joint, whose pose could be predicted", field="scene")
+        raise InputError("scene: no body has a free joint, whose pose could be predicted")
     if "reduce" in options:
-        raise InputError("reduce: given, but predict needs the pose at the end", field="reduce")
+        raise InputError("reduce: given, but predict needs the pose at the end")
     over: dict[str | tuple[str, ...], Any] = {}
     scatter = dict(scatter or {})
     for one in as_tuple("fitted", fitted, Identified, "a result of identify"):
         if one.unidentified:
-            raise InputError(f"fitted: {one.unidentified[0]}", field="fitted", value=one)
+            raise InputError(f"fitted: {one.unidentified[0]}", value=one)
         spread = np.array([at_least_zero(f"scatter[{n!r}]", scatter.pop(n, 0.0)) for n in one.names])
         over[tuple(one.names)] = posterior(one, spread)
     if scatter:
         name = next(iter(scatter))
-        raise UnknownNameError(f"scatter: {name!r} was not fitted", field="scatter", value=name)
+        raise UnknownNameError(f"scatter: {name!r} was not fitted", value=name)
     for name, covariance in (start or {}).items():
         if name not in ("q0", "v0"):
-            raise UnknownNameError(f'start: {name!r} given, "q0" or "v0" expected', field="start", value=name)
+            raise UnknownNameError(f'start: {name!r} given, "q0" or "v0" expected', value=name)
         over[name] = Normal(np.zeros(model.nv), covariance_root(f"start[{name!r}]", covariance, model.nv))
     found = ensemble(
         scene, q0, v0, duration, over=over, samples=samples, seed=seed, executor=executor, **options

@@ -53,16 +53,12 @@ class Motion:
         times = real_numbers("t", t)
         times = finite_array("t", times, (times.size,))
         if len(times) < 2 * FRAMES:
-            raise InputError(
-                f"t: {len(times)} frames given; two flights need {2 * FRAMES} at least", field="t", value=t
-            )
+            raise InputError(f"t: {len(times)} frames given; two flights need {2 * FRAMES} at least", value=t)
         back = np.flatnonzero(np.diff(times) <= 0.0)
         if len(back):
             k = int(back[0])
             raise InputError(
-                f"t: times do not rise at frame {k + 1}: {times[k + 1]:.9g} s after {times[k]:.9g} s",
-                field="t",
-                value=t,
+                f"t: times do not rise at frame {k + 1}: {times[k + 1]:.9g} s after {times[k]:.9g} s", value=t
             )
         states = real_numbers("q", q)
         width = states.shape[1] if states.ndim == 2 else 0
@@ -116,7 +112,7 @@ def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = CLEAR
     clearance = above_zero("clearance", clearance)
     motions = checked_motions(motions)
     if not scene.contacts:
-        raise InputError("scene: it has no contacts", field="scene", value=scene)
+        raise InputError("scene: it has no contacts", value=scene)
     body, rows, dropped = Body.of(scene.model), [], []
     for label, poses, sigma, flights in flights_of(scene, motions, body, clearance):
         for before, after in itertools.pairwise(flights):
@@ -146,9 +142,7 @@ def checked_motions(motions: Any) -> tuple[Motion, ...]:
     for motion in motions:
         if not isinstance(motion, Motion) or motion.q.shape[1] != 7:
             what = in_short(motion)
-            raise InputError(
-                f"motions: {what} given, Motions with q (n, 7) expected", field="motions", value=motion
-            )
+            raise InputError(f"motions: {what} given, Motions with q (n, 7) expected", value=motion)
     return motions
 
 
@@ -194,7 +188,6 @@ def _noise(poses: list[Poses], body: Body, clearance: float) -> Array:
         raise InputError(
             f"motions: none begins with {FRAMES} frames clear of the surfaces, from which the noise is "
             "estimated; give sigma=",
-            field="motions",
             value=len(poses),
         )
     return np.sqrt(np.mean(squares, axis=0))

@@ -118,9 +118,7 @@ def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[St
     for number, (motion, (label, poses, _, flights)) in enumerate(zip(motions, found, strict=True)):
         if not flights:
             raise InputError(
-                f"{field}: motion {number} has no flight of {FRAMES} frames to start from",
-                field=field,
-                value=motion,
+                f"{field}: motion {number} has no flight of {FRAMES} frames to start from", value=motion
             )
         ends = [flight.stop for flight in flights[1:]] if restart else [len(motion.t)]
         for flight, stop in zip(flights, ends, strict=False):

@@ -61,7 +61,6 @@ class Sampling:
             raise InputError(
                 f"over: {in_short(over)} given, distributions by parameter expected, such as "
                 '{"friction": scipy.stats.uniform(0.3, 0.2)}',
-                field="over",
                 value=over,
             )
         self._velocities = coordinate_names(model)[1]
@@ -73,7 +72,7 @@ class Sampling:
         self.names = tuple(name for names, _ in self._parts for name in names)
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
-            raise InputError(f"over: {twice[0]!r} is given twice", field="over", value=twice[0])
+            raise InputError(f"over: {twice[0]!r} is given twice", value=twice[0])
         if self.design == "saltelli":
             block = len(self.names) + 2
             self.base = 2 ** math.ceil(math.log2(max(-(-self.samples // block), 1)))
@@ -92,14 +91,10 @@ class Sampling:
                 names.append(str(part))
             else:
                 choices = near_matches(kind, (*COEFFICIENTS, "q0", "v0"))
-                raise UnknownNameError(
-                    f"over: {in_short(part)} is not a parameter; {choices}", field="over", value=part
-                )
+                raise UnknownNameError(f"over: {in_short(part)} is not a parameter; {choices}", value=part)
             if of and of not in known:
                 raise UnknownNameError(
-                    f"over: {part!r} names nothing in this scene; {near_matches(of, known)}",
-                    field="over",
-                    value=part,
+                    f"over: {part!r} names nothing in this scene; {near_matches(of, known)}", value=part
                 )
         return tuple(names)
 

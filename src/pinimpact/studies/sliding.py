@@ -83,7 +83,6 @@ def identify_sliding(
     if not slides:
         raise InputError(
             f"motions: no body slides on a face for {FRAMES + 2} frames, faster than {slowest:g} m/s",
-            field="motions",
             value=len(motions),
         )
     rows, targets = np.array([slide.rows for slide in slides]), np.array([slide.target for slide in slides])
@@ -127,7 +126,6 @@ def _axes(scene: Scene) -> Array:
     ):
         raise InputError(
             "scene: at least three contacts with one plane that is fixed in the world are expected",
-            field="scene",
             value=scene,
         )
     data, q = scene.model.createData(), np.array([0.0, 0, 0, 0, 0, 0, 1])

@@ -72,15 +72,12 @@ def stiff_joints(
     if scene.held:
         raise InputError(
             "free: the stiffening of joints cannot be fitted with held contacts; give a scene without",
-            field="free",
             value=list(names),
         )
     joints = single_joints(scene.model)
     if not joints:
         raise InputError(
-            "free: no joint of the robot has one velocity, so that none can be stiffened",
-            field="free",
-            value=list(names),
+            "free: no joint of the robot has one velocity, so that none can be stiffened", value=list(names)
         )
     owner = np.full(scene.model.nv, -1)
     for p in general_first(names):

@@ -113,15 +113,13 @@ class StudyFolder:
 
     def __init__(self, path: Any, sampling: Sampling, settings: Mapping[str, Any], resume: bool) -> None:
         if find_spec("pyarrow") is None:
-            raise InputError(
-                "out: pyarrow is not installed; pip install 'pinimpact[data]' installs it", field="out"
-            )
+            raise InputError("out: pyarrow is not installed; pip install 'pinimpact[data]' installs it")
         self.path = file_path("out", path)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            raise InputError(f"out: {self.path} cannot be a folder: {reason}", field="out") from error
+            raise InputError(f"out: {self.path} cannot be a folder: {reason}") from error
         self.samples = sampling.samples
         self.about: dict[str, Any] = {
             "digest": digest(sampling, settings),
@@ -142,9 +140,7 @@ class StudyFolder:
         if not file.exists():
             if any(self.path.glob("samples-*.parquet")):
                 raise InputError(
-                    f"out: {self.path} has samples but no {STUDY}; give another folder",
-                    field="out",
-                    value=str(self.path),
+                    f"out: {self.path} has samples but no {STUDY}; give another folder", value=str(self.path)
                 )
             aside = file.with_suffix(".part")
             aside.write_text(json.dumps(self.about, indent=1), encoding="utf-8")
@@ -154,9 +150,7 @@ class StudyFolder:
             known = json.loads(file.read_text(encoding="utf-8"))
             same, versions = known["digest"] == self.about["digest"], dict(known["versions"])
         except (ValueError, KeyError, TypeError):
-            raise InputError(
-                f"out: {file} is not the record of a study", field="out", value=str(file)
-            ) from None
+            raise InputError(f"out: {file} is not the record of a study", value=str(file)) from None
         if not same:
             differs = [
                 f"{name} {known.get(name)!r} there, {self.about[name]!r} here"
@@ -166,7 +160,6 @@ class StudyFolder:
             raise InputError(
                 f"out: {self.path} has another study "
                 f"({'; '.join(differs) or 'of another scene or settings'}); give another folder",
-                field="out",
                 value=str(self.path),
             )
         other = {name: v for name, v in self.about["versions"].items() if versions.get(name) != v}
@@ -174,14 +167,12 @@ class StudyFolder:
             raise InputError(
                 f"out: the study in {self.path} was begun with {name} {versions.get(name)}, here is "
                 f"{version}; continue it with the same versions, or give another folder",
-                field="out",
                 value=str(self.path),
             )
         if not resume:
             raise InputError(
                 f"out: {self.path} has this study already; continue it by resume=True (--resume), or "
                 "give another folder",
-                field="out",
                 value=str(self.path),
             )
 
@@ -218,7 +209,7 @@ class StudyFolder:
             of, whole = None, False
         if of != self.about["digest"] or not whole or file != self.file(first):
             what = "a chunk of another study" if of is not None and whole else "damaged"
-            raise InputError(f"out: {file} is {what}; remove it", field="out", value=str(file))
+            raise InputError(f"out: {file} is {what}; remove it", value=str(file))
         return columns
 
     def write(self, first: int, columns: Columns) -> None:

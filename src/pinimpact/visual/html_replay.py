@@ -102,7 +102,7 @@ class Replay(os.PathLike[str]):
 
     def __fspath__(self) -> str:
         if self.path is None:
-            raise InputError("path: the replay was not written to a file; save() does", field="path")
+            raise InputError("path: the replay was not written to a file; save() does")
         return str(self.path)
 
     def __repr__(self) -> str:
@@ -158,9 +158,7 @@ def replay(
         output_file("path", path)  # before anything is computed
     if not math.isfinite(slowdown) or slowdown < 1.0:
         raise InputError(
-            f"slowdown: {in_short(slowdown)} given, a number of at least 1 expected",
-            field="slowdown",
-            value=slowdown,
+            f"slowdown: {in_short(slowdown)} given, a number of at least 1 expected", value=slowdown
         )
     if isinstance(motion, ManyHit):
         text = _many_page(robot, motion, q)
@@ -169,9 +167,7 @@ def replay(
     elif isinstance(motion, Trajectory):
         text = _motion_page(robot, motion, contacts, speed, float(slowdown))
     else:
-        raise InputError(
-            f"motion: {in_short(motion)} is neither a trajectory nor an impact", field="motion", value=motion
-        )
+        raise InputError(f"motion: {in_short(motion)} is neither a trajectory nor an impact", value=motion)
     shown = Replay(text, None)
     if path is not None:
         shown.save(path)
@@ -275,7 +271,6 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
         raise InputError(
             f"contacts: none is called {source!r}; give contacts=, those of the scene (impacts of "
             "joint limits are not shown)",
-            field="contacts",
             value=given,
         )
     geometry = contact_geometry(model, data_of(model), q, drawn[0])
@@ -294,7 +289,7 @@ def _many_page(robot: Any, hit: ManyHit, q: Any) -> str:
 
 def _configuration(model: pin.Model, q: Any) -> Array:
     if q is None:
-        raise InputError("q: missing; a hit does not have the configuration of the robot, give q=", field="q")
+        raise InputError("q: missing; a hit does not have the configuration of the robot, give q=")
     return finite_array("q", q, (model.nq,))
 
 
@@ -411,7 +406,6 @@ def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
         return
     raise InputError(
         f"robot: {model.name!r} is not the robot of the trajectory: {what}; give the one that was simulated",
-        field="robot",
         value=model.name,
     )
 

@@ -45,23 +45,18 @@ def write_video(
     kind = path.suffix.lower()
     if kind != ".gif" and kind not in FILMS:
         raise InputError(
-            f"path: {path.name!r} given, a name that ends in .gif, {', '.join(FILMS)} expected",
-            field="path",
-            value=path,
+            f"path: {path.name!r} given, a name that ends in .gif, {', '.join(FILMS)} expected", value=path
         )
     ffmpeg = shutil.which("ffmpeg")
     if kind in FILMS and ffmpeg is None:
         raise InputError(
-            f"path: ffmpeg, which makes {kind} films, is not installed; a .gif needs none",
-            field="path",
-            value=path,
+            f"path: ffmpeg, which makes {kind} films, is not installed; a .gif needs none", value=path
         )
     browser = find_browser()
     if browser is None:
         raise InputError(
             "path: there is no Chromium, Chrome or Edge to draw the frames; open the replay in a browser and "
             'press its button "video"',
-            field="path",
             value=path,
         )
     if kind == ".gif":
@@ -84,8 +79,7 @@ def _frames(text: str, browser: str, rate: float, size: tuple[int, int], kind: s
     found = re.search(r'<pre id="frames">([^<]*)</pre>', opened.dom)
     if found is None:
         raise InputError(
-            f"path: {Path(browser).name} drew no frames: {' '.join(opened.console[-3:]) or 'no message'}",
-            field="path",
+            f"path: {Path(browser).name} drew no frames: {' '.join(opened.console[-3:]) or 'no message'}"
         )
     return [base64.b64decode(line) for line in found[1].split()]
 
@@ -114,6 +108,4 @@ def _write_film(frames: list[bytes], path: Path, rate: float, ffmpeg: str) -> No
     command = [ffmpeg, *read.split(), *even.split(), str(path)]
     done = subprocess.run(command, input=b"".join(frames), capture_output=True)
     if done.returncode:
-        raise InputError(
-            f"path: ffmpeg: {done.stderr.decode('utf-8', 'replace').strip()}", field="path", value=path
-        )
+        raise InputError(f"path: ffmpeg: {done.stderr.decode('utf-8', 'replace').strip()}", value=path)

@@ -48,7 +48,7 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
         UnknownNameError: A robot without a contact's frame.
     """
     if not trajectory.contacts:
-        raise InputError("trajectory: it has no contacts whose gaps can be drawn", field="trajectory")
+        raise InputError("trajectory: it has no contacts whose gaps can be drawn")
     model = model_of(robot)
     ax = axes_for(ax, (8.0, 3.0))
     times, sides = moments(trajectory)
@@ -156,7 +156,7 @@ def overview(
         figure = pyplot.figure(figsize=(9.0, sum(heights) + 0.6), layout="constrained")
         ax = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": heights})
     if len(ax) != 4:
-        raise InputError(f"ax: {len(ax)} axes given, 4 expected", field="ax", value=ax)
+        raise InputError(f"ax: {len(ax)} axes given, 4 expected", value=ax)
     gaps(trajectory, robot, ax=ax[0])
     modes(trajectory, ax=ax[1])
     times, sides = moments(trajectory)

@@ -53,14 +53,11 @@ def solved(impact: Impact, contact: int | None = None) -> OneImpact:
         raise InputError(
             f"impact: {in_short(impact)} given; a Hit, a ManyHit, an impact of a trajectory or an "
             "ImpactProblem expected",
-            field="impact",
             value=impact,
         )
     if contact not in (None, 0):
         raise InputError(
-            f"contact: {in_short(contact)} given, but the impact is at one contact",
-            field="contact",
-            value=contact,
+            f"contact: {in_short(contact)} given, but the impact is at one contact", value=contact
         )
     if solution.part_of is not None and solution.path is None:
         raise _pathless(solution.part_of)
@@ -74,7 +71,6 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
         raise InputError(
             f"contact: {in_short(contact)} given; the impact has {count} contacts: give the number of "
             f"one, 0 to {count - 1}",
-            field="contact",
             value=contact,
         )
     path = many_path(problem, solution)
@@ -98,7 +94,6 @@ def _pathless(solution: ManySolution) -> InputError:
     return InputError(
         f'impact: the solution by {solution.simultaneous!r} has no path to draw; use "propagate", '
         "with record=True if it has options",
-        field="impact",
         value=solution,
     )
 
@@ -111,7 +106,6 @@ def check_alone(impact: Impact, what: str) -> None:
         raise InputError(
             f"impact: {what} needs a single contact; for several contacts use hodograph, "
             "velocities, impulses or energy_ledger",
-            field="impact",
             value=impact,
         )
 

@@ -83,14 +83,11 @@ def regime_map(
     speed = float(np.hypot(v[0], v[1]))
     if against not in ("slip angle", "restitution"):
         raise InputError(
-            f'against: {in_short(against)} given, "slip angle" or "restitution" expected',
-            field="against",
-            value=against,
+            f'against: {in_short(against)} given, "slip angle" or "restitution" expected', value=against
         )
     if against == "slip angle" and speed == 0.0:
         raise InputError(
             'against: the impact begins without slip, so there is no angle to vary; "restitution" can be',
-            field="against",
             value=against,
         )
     threshold = float(np.linalg.norm(np.linalg.pinv(w[:2, :2]) @ w[:2, 2]))

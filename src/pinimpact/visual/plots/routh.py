@@ -38,9 +38,7 @@ def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
     solid = direction is None if ax is None else ax.name == "3d"
     if not solid and direction is None:
         raise InputError(
-            'ax: the impact does not stay in one plane; give axes made with projection="3d"',
-            field="ax",
-            value=ax,
+            'ax: the impact does not stay in one plane; give axes made with projection="3d"', value=ax
         )
     if solid:
         ax = axes_for(ax, (6.0, 6.0), projection="3d")
