@@ -316,14 +316,8 @@ def fill_compliances(problem, part, diagonal, given):
 def solve_compliances(problem, profile, r, before, least, now, system):
     """Bring w to the solution of (16.3) for given f, by Newton's method.
 
-    Args:
-        problem: The `VelocityProblem`.
-        profile: First columns (m,) and last ones (m,), see `find_profile`.
-        r: (n,) of (16.3).
-        before: (n,) f.
-        least: Relative sizes of the residual: at which rounding may stop the steps, and which is enough.
-        now: The `Iterate`; it changes.
-        system: (m, m) is overwritten.
+    The arguments are those of `fill_system`, the relative sizes `least` of the residual at which rounding may
+    stop the steps and which is enough, and the `Iterate` now, which changes.
     """
     rounded, enough = least
     w, momentum, off = now.w, now.momentum, now.off

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..status import Sentences, Status
-from .inputs import FACTOR, Array, Inputs
+from .inputs import ENTRY, FACTOR, Array, Inputs
 from .one_sided import fill_one_sided_of_problem
 
 
@@ -106,14 +106,14 @@ def derivatives_of(inputs: Inputs, side: int | None = None) -> Derivatives:
 
 def _differentiated(inputs: Inputs) -> tuple[Array, Array, int, int]:
     """Return v⁺ and P (6,) of a problem, their slopes (6, 14), `Boundary` and status."""
-    w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale, factor = inputs
+    mu, e, law, scale, factor = inputs[9:]
     slopes, boundary = empty_slopes(1)
-    matrix = np.array([[[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]])
+    matrix, velocity = np.array([inputs[:6]])[:, ENTRY], np.array([inputs[6:9]])
     numbers, codes = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64)
     coefficients = np.array([[mu], [e], [scale]])
     factors = factor.reshape(-1, FACTOR)
     differentiate(
-        *(matrix, np.array([[v1, v2, v3]]), coefficients[0], coefficients[1], law, coefficients[2], factors),
+        *(matrix, velocity, coefficients[0], coefficients[1], law, coefficients[2], factors),
         (numbers, codes, slopes, boundary),
     )
     return numbers[0, :6], slopes[0], int(boundary[0]), int(codes[0, 0])

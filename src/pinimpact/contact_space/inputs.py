@@ -21,6 +21,9 @@ def triangle_of(numbers: Array) -> Array:
     return np.array([[c11, 0.0, 0.0], [c21, c22, 0.0], [c31, c32, c33]])
 
 
+ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Where the entries of W stand in the first six of `Inputs`."""
+
 NO_FACTOR: Array = np.empty(0)
 """Instead of a factor that is not known."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
 from ..status import Status
-from .inputs import NO_ROWS, Inputs
+from .inputs import ENTRY, NO_ROWS, Inputs
 from .laws import law_of_code, laws_always_met
 from .methods import METHODS, Run, load_method
 from .problem import ZERO
@@ -33,16 +33,7 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
             raise InputError(f"friction: {mu!r} given, a finite number ≥ 0 expected", value=mu)
         raise InputError(f"restitution: {e!r} given, a number from 0 to 1 expected", value=e)
     if status == Status.INDEFINITE_DELASSUS:
-        norm = float(
-            np.linalg.norm(
-                [
-                    [inputs[0], inputs[1], inputs[2]],
-                    [inputs[1], inputs[3], inputs[4]],
-                    [inputs[2], inputs[4], inputs[5]],
-                ],
-                2,
-            )
-        )
+        norm = float(np.linalg.norm(np.array(inputs[:6])[ENTRY], 2))
         raise InputError(
             f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {figure:.6g}, "
             f"below −{ZERO * norm:.3g} (32 ε ‖W‖)",

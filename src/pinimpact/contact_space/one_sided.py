@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Array
 from ..checks import in_short
 from ..errors import InputError
-from .inputs import NO_FACTOR, Inputs
+from .inputs import ENTRY, NO_FACTOR, Inputs
 
 STEPS = 1e-5, 1e-6, 1e-8, 1e-10, 1e-12
 """Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""
@@ -80,9 +80,6 @@ def _limit(once: Array, twice: Array, again: Array) -> tuple[Array, float]:
     return once - rest, float(np.linalg.norm(rest)) / size
 
 
-_ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-
-
 def fill_one_sided_of_problem(
     inputs: Inputs,
     slopes: Array,
@@ -99,7 +96,7 @@ def fill_one_sided_of_problem(
         side: 1 or −1.
         evaluate: Returns values and slopes of a problem; None if it has no answer.
     """
-    W, mu = np.array(inputs[:6])[_ENTRY], inputs[9]
+    W, mu = np.array(inputs[:6])[ENTRY], inputs[9]
     sizes = np.sqrt(np.outer(W.diagonal(), W.diagonal())).ravel()
     speed = float(np.linalg.norm(inputs[6:9]))
     every = np.concatenate([np.full(3, speed), sizes, [mu if mu > 0.0 else 1.0, 1.0]])
@@ -108,7 +105,7 @@ def fill_one_sided_of_problem(
         x: list[Any] = list(inputs)
         if 3 <= k < 12:
             i, j = divmod(k - 3, 3)
-            x[_ENTRY[i, j]] += h if i == j else 0.5 * h  # W is symmetric, and both entries count
+            x[ENTRY[i, j]] += h if i == j else 0.5 * h  # W is symmetric, and both entries count
             x[13] = NO_FACTOR
         else:
             x[6 + k if k < 3 else k - 3] += h

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..checks import above_zero, as_tuple, in_short
-from ..errors import InputError, LawError, PinimpactError, SimulationError, UnstoppableApproachError
+from ..errors import InputError, LawError, PinimpactError, UnstoppableApproachError
 from ..robot.batch import impacts
 from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
@@ -153,11 +153,8 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
             data.xnext = np.array(x)
         else:
             self.costs.calc(data.costs, x, u)
-            stepper = self._at(data, q, v)
             try:
-                if stepper is None:
-                    raise SimulationError("scene: no motion starts there")
-                data.xnext = np.concatenate(stepper.step(self._forces(u), self.dt))
+                data.xnext = np.concatenate(self._at(data, q, v).step(self._forces(u), self.dt))
             except PinimpactError:  # in Crocoddyl it would end the process
                 data.xnext = np.full(len(x), np.nan)
         data.cost = data.costs.cost
@@ -173,11 +170,8 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
             self.costs.calcDiff(data.costs, x)
         else:
             self.costs.calcDiff(data.costs, x, u)
-            stepper = self._at(data, q, v)
             try:
-                if stepper is None:
-                    raise SimulationError("scene: no motion starts there")
-                by_x, by_tau = stepper.linearize(self._forces(u), self.dt)
+                by_x, by_tau = self._at(data, q, v).linearize(self._forces(u), self.dt)
                 data.Fx, data.Fu = np.array(by_x), np.array(by_tau[:, nv - self.nu :])
             except PinimpactError:  # in Crocoddyl it would end the process
                 data.Fx, data.Fu = np.full((2 * nv, 2 * nv), np.nan), np.full((2 * nv, self.nu), np.nan)
@@ -187,15 +181,12 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
     def _forces(self, u: Any) -> Any:
         return np.concatenate((np.zeros(self.state.nv - self.nu), u))
 
-    def _at(self, data: ActionDataStep, q: Any, v: Any) -> Stepper | None:
-        """Return a stepper in a state, or None where no motion starts."""
-        try:
-            if data.stepper is None:
-                data.stepper = Stepper(self.scene, q, v, **self.options)
-            else:
-                data.stepper.reset(q, v)
-        except InputError:
-            return None
+    def _at(self, data: ActionDataStep, q: Any, v: Any) -> Stepper:
+        """Return a stepper in a state."""
+        if data.stepper is None:
+            data.stepper = Stepper(self.scene, q, v, **self.options)
+        else:
+            data.stepper.reset(q, v)
         return data.stepper
 
 

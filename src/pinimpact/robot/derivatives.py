@@ -20,10 +20,10 @@ from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
 from ._kernels.tree import solve
-from .contact import Contact, Contacts, check_contact, check_held
+from .contact import Contact, Contacts, check_contact
 from .data_cache import data_cache
 from .forest import composite_inertias, joint_jacobian
-from .held import check_at_rest
+from .held import held_at_rest
 from .matrices import ContactMatrices, contact_geometry, contact_matrices, independent
 from .names import free_velocities, model_of
 from .one_sided import fill_one_sided_of_robot
@@ -195,7 +195,7 @@ def impact_derivatives(
             from .many_derivatives import derivatives_at_many
 
             return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
-    rest = _held_at_rest(model, data, q, v, held), locked, True
+    rest = held_at_rest(model, data, q, v, held), locked, True
     block, boundary = _differentiated(model, data, q, v, contact, *rest)
     if side is not None and np.isnan(block).any():
         own, cache = model_of(model), data_cache(model_of(model), data)
@@ -238,22 +238,10 @@ def impact_rows(
         world axes [N s]; columns without derivative are NaN.
     """
     dt = above_zero("dt", dt)
-    rest = _held_at_rest(model, data, q, v, held), locked, False
+    rest = held_at_rest(model, data, q, v, held), locked, False
     block, _ = _differentiated(model, data, q, v, contact, *rest)
     nv = len(block) - 3
     return dt * block[:, nv : 2 * nv], block[:, -1].copy()
-
-
-def _held_at_rest(
-    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, held: Sequence[Contact]
-) -> tuple[Contact, ...]:
-    """Return held contacts, which have to be at rest."""
-    held = check_held(held)
-    if held:
-        placed = PlacedRobot(model_of(model), data, q)
-        v = finite_array("v", v, (placed.model.nv,))
-        check_at_rest([placed.geometry(anchor) for anchor in held], held, v)
-    return held
 
 
 def _differentiated(

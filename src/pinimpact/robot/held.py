@@ -6,12 +6,16 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array
+from ..checks import finite_array
 from ..errors import InputError
-from .contact import Contact
-from .placed_robot import ContactGeometry
+from .contact import Contact, check_held
+from .names import model_of
+from .placed_robot import ContactGeometry, PlacedRobot
 from .tolerances import HELD_TOLERANCE
 
 
@@ -36,6 +40,18 @@ def pull(geometry: ContactGeometry, push: Array, impulse: Array) -> float:
     """
     found = -float(geometry.axes[2] @ push)
     return found if found > ROUNDING * float(np.linalg.norm(impulse)) else 0.0
+
+
+def held_at_rest(
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, held: Sequence[Contact]
+) -> tuple[Contact, ...]:
+    """Return held contacts; raise an error for those that move relative to their surfaces."""
+    held = check_held(held)
+    if held:
+        placed = PlacedRobot(model_of(model), data, q)
+        v = finite_array("v", v, (placed.model.nv,))
+        check_at_rest([placed.geometry(anchor) for anchor in held], held, v)
+    return held
 
 
 def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:

@@ -24,7 +24,7 @@ from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, Contacts, check_contact, check_held
 from .data_cache import DataCache, _caches, data_cache, not_normalized
-from .held import check_at_rest, warn_of_pulls
+from .held import held_at_rest, warn_of_pulls
 from .many_impact import ImpactOptions, ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
 from .names import Stiffening, is_stiff, model_of, singular_mass
@@ -298,6 +298,7 @@ def _general_impact(
     if contact.geometry is None:
         if contact.rim > 0.0:
             check_rims(PlacedRobot(model, data, q), (contact,))
+        held_at_rest(model, data, q, v, asked.held)
         return impact_in_steps(model, data, q, v, contact, asked)
     nearest = touching_points if is_pair(robot, contact) else touching_tips
     tips = nearest(robot, data, q, contact)
@@ -334,19 +335,16 @@ def impact_in_steps(
     v: ArrayLike,
     contact: Contact,
     asked: ImpactOptions,
-    in_motion: bool = False,
 ) -> Hit:
     """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply.
 
-    Held contacts of a motion are at rest but for its constraint drift, which the impact does not change.
+    Held contacts may move as far as constraint drift lets them, which the impact does not change.
     """
     held = check_held(asked.held)
     matrices = contact_matrices(model, data, q, contact, held, asked.locked, asked.stiffening)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=6)
-    if not in_motion:
-        check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
     scale = matrices.velocity_scale(v)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ._kernels import dense_output
 from .step_taken import StepTaken
 
@@ -19,6 +19,7 @@ SLOPES = dense_output.BASIS * np.arange(1.0, 1.0 + len(dense_output.BASIS))
 """Derivatives of the terms of the dense output, in powers of θ (7, 7)."""
 
 
+@dataclass(slots=True, eq=False, repr=False)
 class DenseStep:
     """A step of smooth motion with its dense output.
 
@@ -33,41 +34,20 @@ class DenseStep:
         taken: Of a time step that is to be differentiated: what it was computed from.
     """
 
-    __slots__ = (
-        "closed",
-        "coefficients",
-        "directions",
-        "end",
-        "h",
-        "joints",
-        "q",
-        "start",
-        "taken",
-        "v",
-        "w",
-    )
+    start: float
+    h: float
+    q: Array
+    v: Array
+    w: Array
+    coefficients: Array
+    joints: Integers
+    closed: Any = None
+    directions: Array | None = None
+    taken: StepTaken | None = None
+    end: float = field(init=False)
 
-    def __init__(
-        self,
-        start: float,
-        h: float,
-        q: Array,
-        v: Array,
-        w: Array,
-        coefficients: Array,
-        joints: NDArray[np.int64],
-    ) -> None:
-        self.start = start
-        self.end = start + h
-        self.h = h
-        self.q = q
-        self.v = v
-        self.w = w
-        self.coefficients = coefficients
-        self.joints = joints
-        self.closed: Any = None
-        self.directions: Array | None = None
-        self.taken: StepTaken | None = None
+    def __post_init__(self) -> None:
+        self.end = self.start + self.h
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return q and v at a time within the step."""

@@ -147,7 +147,7 @@ class SceneImpacts:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             asked = ImpactOptions(self._held, self._locked, "exact", False, self.policy, None, {})
-            hit = impact_in_steps(self._model, self._data, q, v, contact, asked, in_motion=True)
+            hit = impact_in_steps(self._model, self._data, q, v, contact, asked)
         return hit, tuple(str(warning.message) for warning in caught)
 
     def _of_limit(

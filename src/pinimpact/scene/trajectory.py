@@ -98,14 +98,9 @@ class Trajectory:
         self._starts = np.array([segment.start for segment in segments])
         self._ends = np.array([segment.end for segment in segments])
         self.t, self.q, self.v = samples
-        self.impacts = tuple(impacts)
-        self.events = tuple(events)
-        self.modes = tuple(modes)
-        self.energy = energy
-        self.notes = tuple(notes)
-        self.stepped = tuple(stepped)
-        self.termination = termination
-        self.complete = complete
+        self.impacts, self.events, self.modes = tuple(impacts), tuple(events), tuple(modes)
+        self.energy, self.notes, self.stepped = energy, tuple(notes), tuple(stepped)
+        self.termination, self.complete = termination, complete
         self.switched_off = tuple(switched_off)
         self.statistics = dict(statistics)
         self.sources = None if sources is None else tuple(sources)
