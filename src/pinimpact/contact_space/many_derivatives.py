@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._numeric.tolerances import ROUNDING
+from .._numeric.tolerances import ROUNDING, ROUNDOFF
 from ..errors import PinimpactError
 from .derivatives import Boundary
 from .inputs import Array
@@ -23,15 +23,13 @@ FIRST, FINER, LEVELS = 4e-3, 0.25, 9
 """The first step of differences, in parts of what makes a change as large as the data; how much shorter each
 one is than the last; how many are tried."""
 
-ACCURATE = 1e-8
-"""Part of a derivative by which those by two steps differ where no shorter one is tried. The error of the
-second is 4⁻⁶ of that, or a third where the slope of P has a kink, and rounding's."""
-
 AGREED = 1e-6
-"""The same, and that of those to either side, beyond which there is no derivative."""
+"""Part of a derivative by which those by two steps may differ, and those to either side: beyond it there is
+none. The error of the second is 4⁻⁶ of that, or a third where the slope of P has a kink, and rounding's."""
 
-JUMPS = 1e-3
-"""Part of the impulses by which they change over the shortest step where they jump."""
+STEEP = FINER**0.75
+"""A change of P that is more than this part of that over the step before does not vanish with the step: P
+jumps, or has a slope without bound."""
 
 CENTRAL = np.array([45.0, -9.0, 1.0]) / 60.0
 ASIDE = np.array([18.0, -9.0, 2.0]) / 6.0
@@ -71,13 +69,13 @@ class _Slope(NamedTuple):
         impulse: (3n,) of P.
         missed: By how much those of two steps differ, in velocities, of their size.
         unshared: The same in impulses.
-        change: By how much P changes over the last step, of its size.
+        jumps: Whether the change of P does not vanish with the step.
     """
 
     impulse: Array
     missed: float
     unshared: float
-    change: float
+    jumps: bool
 
 
 def slopes_along(
@@ -140,7 +138,7 @@ def _reason(inputs: ManyInputs, change: Change, slope: _Slope) -> Boundary:
     still = np.abs(inputs.velocity[:, :2]).max(axis=1, initial=0.0) <= rest
     if change.velocity[still, :2].any():
         return Boundary.START_AT_REST
-    return Boundary.JUMP if slope.change > JUMPS else Boundary.EVENTS_COINCIDE
+    return Boundary.JUMP if slope.jumps else Boundary.EVENTS_COINCIDE
 
 
 class _Differences:
@@ -215,28 +213,28 @@ class _Differences:
 
         return at
 
-    def slope(self, change: Change, side: float = 0.0) -> _Slope:
+    def slope(self, along: Change, side: float = 0.0) -> _Slope:
         """Return the derivative along a change, or that to a side, 1 or −1."""
-        size = self.size(change)
+        size = self.size(along)
         if size == 0.0:
-            return _Slope(np.zeros_like(self._impulse), 0.0, 0.0, 0.0)
-        at, ahead, behind = self._impulses(change, size), self._room(change, 1.0), self._room(change, -1.0)
-        one_sided = side != 0.0 or self.one_sided(change)
+            return _Slope(np.zeros_like(self._impulse), 0.0, 0.0, False)
+        at, ahead, behind = self._impulses(along, size), self._room(along, 1.0), self._room(along, -1.0)
+        one_sided = side != 0.0 or self.one_sided(along)
         sign = side or (1.0 if ahead >= behind else -1.0)
         room = (ahead if sign > 0.0 else behind) if one_sided else min(ahead, behind)
         h = min(FIRST, room * size / len(INTO if one_sided else CENTRAL))
-        best = _Slope(self._unknown, np.inf, np.inf, 0.0)
+        best, change = _Slope(self._unknown, np.inf, np.inf, False), np.inf
         last: Array | None = None
         for _ in range(LEVELS if h > 0.0 else 0):
             now, bend = self._into(at, sign * h) if one_sided else self._both(at, h)
-            jump = self._apart(h * now, np.zeros_like(now))[1]
-            best = best._replace(change=jump)
+            before, change = change, self._apart(h * now, np.zeros_like(now))[1]
+            best = best._replace(jumps=change > STEEP * before)
             if last is not None:
                 missed, unshared = self._apart(now, last)
                 missed = max(missed, self._apart(bend + now, now)[0])
                 if missed <= best.missed:
-                    best = _Slope(now * size, missed, unshared, jump)
-            if best.missed <= ACCURATE:
+                    best = _Slope(now * size, missed, unshared, best.jumps)
+            if best.missed <= min(AGREED, ROUNDOFF / (h * FINER**6)):  # a shorter step gains nothing
                 break
             last, h = now, FINER * h
         return best

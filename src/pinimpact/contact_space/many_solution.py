@@ -15,11 +15,9 @@ from ..checks import counted, finite_array, in_short
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
+from ._kernels.tolerances import SLOW
 from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work
-
-RESTS = 1e-9
-"""Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
 
 Segments = tuple[tuple[Segment, ...], ...]
 
@@ -156,7 +154,7 @@ class ManySolution:
     @property
     def statuses(self) -> tuple[Status, ...]:
         """The status of each contact."""
-        rest = RESTS * float(np.abs(self.velocity).max(initial=0.0))
+        rest = SLOW * float(np.abs(self.velocity).max(initial=0.0))
 
         def status(velocity: Array, impulse: Array) -> Status:
             if impulse[2] == 0.0:

@@ -15,9 +15,9 @@ from .inputs import ENTRY, NO_FACTOR, Inputs
 STEPS = 1e-5, 1e-6, 1e-8, 1e-10, 1e-12
 """Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""
 
-SETTLED, KNOWN, NEAR = 1e-10, 1e-5, 1e-4
-"""Distances of slopes from their limit, over their size: rounding; from which on none is nearer; and the
-largest. The error of the limit is about the square."""
+SETTLED, NEAR = 1e-10, 1e-4
+"""Distances of slopes from their limit, over their size: rounding; and the largest, from which on the limit
+is known, to about the square of that."""
 
 FOLLOWS = 0.05
 """Difference of slope and values up to which they do: at a jump or a root it is at least a half."""
@@ -50,16 +50,15 @@ def fill_one_sided(
             there are none.
     """
     for k in np.flatnonzero(np.isnan(slopes).any(axis=0) & (sizes > 0.0)).tolist():
-        unit, best, nearest = side * sizes[k], None, NEAR
+        unit, best = side * sizes[k], None
         for h in STEPS:
             near = [moved(k, n * h * unit) for n in (1.0, 2.0, 4.0)]
             found = [one[1] for one in near if one is not None]
             if len(found) < len(near) or not np.isfinite(found).all():
                 break
             limit, distance = _limit(*found)
-            if distance <= nearest:
-                best, nearest = limit, distance
-            if distance <= KNOWN:
+            if distance <= NEAR:
+                best = limit
                 break
         beyond = moved(k, STEPS[0] * unit)
         if best is None or beyond is None:

@@ -94,7 +94,7 @@ def _resolved(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any],
     return find_policy(simultaneous).run(scaled, False, **options).velocity
 
 
-NEARBY = (1e-12, 1e-6, -1e-6)
+NEARBY = (ROUNDING, MISSED, -MISSED)
 """Parts by which data are changed to look for jumps: more than rounding, and less than can be measured."""
 
 SMOOTH = 1e3

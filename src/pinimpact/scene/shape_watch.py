@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array
 from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
@@ -22,7 +23,6 @@ from ..geometry.tolerances import CLOSE, COINCIDE
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
 from ._kernels.events.gap import SAFETY
-from ._kernels.tolerances import SHORT_WHILE
 from .crossing import crossing
 from .dense_step import DenseStep
 from .touching_points import Placed, TouchingPoints, Watched
@@ -204,7 +204,7 @@ class ShapeWatch(TouchingPoints):
             return np.concatenate(heights), np.concatenate(rates), bend, until
 
         apart = (end - step.start) / THIRDS
-        little = SHORT_WHILE * apart
+        little = HALF_DIGITS * apart
         third: float | None = None
 
         def front(t: float) -> list[Front]:

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._numeric.tolerances import RANK
+from .._numeric.tolerances import RANK, SETTLED
 from ..arrays import Array, Integers
 from .step_taken import StepTaken
 
-TIED = 1e-6
-"""Part of a bound of friction, of the largest velocity or of a change below which a step is at a tie: some
+TIED = 1e3 * SETTLED
+"""Part of a bound of friction, of the largest velocity or of a change below which a step is at a tie: a
 thousand times what the contact problem leaves."""
 
 

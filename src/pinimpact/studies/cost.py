@@ -299,7 +299,7 @@ def best_time(call: Callable[[int], Any], repeats: int, time_cap: float) -> floa
     begun = time.perf_counter()
     call(1)
     once = time.perf_counter() - begun
-    count = max(1, math.ceil(BATCH / max(once, 1e-8)))
+    count = math.ceil(BATCH / once) if once > 0.0 else 1
     best = once
     for _ in range(repeats):
         now = time.perf_counter()

@@ -11,12 +11,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from ..arrays import Array
+from ..scene._kernels.tolerances import ATOL, RTOL
 
 ITERATIONS = 2
 """Of Gauss and Newton, from a start that is off by the noise of one difference: each squares the error."""
-
-ACCURACY = 1e-9
-"""Of integrated rotations; recorded ones have errors of 1e-4 or more."""
 
 DIFFERENCE = 1e-3
 """Step of differences by angular velocity [rad/s], whose errors are 1e-6 of a slope."""
@@ -104,7 +102,7 @@ def torque_free(R: Array, w: Array, inertia: Array, times: Array) -> tuple[Array
         asked, later = asked[asked > 0.0], sign * times > 0.0
         if len(asked):
             span = 0.0, sign * asked[-1]
-            steps = solve_ivp(rate, span, R.ravel(), "DOP853", sign * asked, rtol=ACCURACY, atol=ACCURACY)
+            steps = solve_ivp(rate, span, R.ravel(), "DOP853", sign * asked, rtol=RTOL, atol=ATOL)
             found[later] = steps.y.T.reshape(-1, *R.shape)[(which - which.max() - 1)[later]]
     return found, (momentum @ found @ inverse)[:, :, 0]
 

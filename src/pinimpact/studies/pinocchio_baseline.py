@@ -10,18 +10,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import ACCURATE
 from ..checks import finite_array
 from ..contact_space.solution import Array
 from ..errors import UnknownNameError
 
 SOLVERS = ("admm", "pgs")
-TOLERANCE = 1e-11
 MAX_ITERATIONS = 100_000
 
 
 def _settings(settings: pin.ADMMSolverSettings | pin.PGSSolverSettings) -> None:
-    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = TOLERANCE
-    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = TOLERANCE
+    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = ACCURATE
+    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = ACCURATE
     settings.max_iterations = MAX_ITERATIONS
     settings.solve_ncp = True
 
