@@ -146,6 +146,40 @@ def test_a_joint_limit_bounces_by_its_restitution():
     assert trajectory.q[-1, 0] == pytest.approx(0.5 * 0.2, abs=1e-9)
 
 
+@pytest.mark.parametrize("gravity", [0.0, 10.0])
+@pytest.mark.parametrize("apart", [0.001, 0.005, 0.007, 0.05])
+def test_what_arrives_at_the_very_end_of_a_step_bounces(gravity, apart):
+    """Round numbers: the gap closes after a whole number of steps, but for rounding."""
+    model = slider()
+    model.gravity = pin.Motion(np.array([0.0, 0.0, -gravity]), np.zeros(3))
+    fall = 0.5 * gravity * apart**2  # in the time until then, at 1 m/s
+    scene = Scene(model, [Contact("point", Plane(), restitution=0.5)])
+    trajectory = step(scene, [0.0, 0.0, apart + fall], [0.0, 0.0, -1.0], apart + 2e-3, 1e-3)
+    speed = 1.0 + gravity * apart
+    (hit,) = trajectory.impacts
+    assert hit.time == pytest.approx(apart, abs=1e-8)
+    assert trajectory.v[-1, 2] == pytest.approx(0.5 * speed - gravity * 2e-3, abs=1e-7)
+
+
+@pytest.mark.parametrize("apart", [1e-9, 1e-6, 5e-5])
+@pytest.mark.parametrize("dt", [1e-2, 1e-3])
+def test_what_is_nearly_closed_where_a_step_begins_bounces(apart, dt):
+    """Gaps are extrapolated from the midpoint: at the start of the step this one seems to be closed."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(
+        joint, pin.Inertia(1.0, np.array([0.5, 0, 0]), 0.01 * np.eye(3)), pin.SE3.Identity()
+    )
+    tip = pin.SE3(np.eye(3), np.array([0.6, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", joint, 0, tip, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    scene = Scene(model, [Contact("tip", Plane((0, 0, -0.3)), restitution=0.5)])
+    trajectory = step(scene, [np.arcsin(0.5 - apart / 0.6)], [4.0], 1e-2, dt)
+    reference = pinimpact.simulate(scene, [np.arcsin(0.5 - apart / 0.6)], [4.0], 1e-2)
+    assert len(trajectory.impacts) == 1
+    assert trajectory.v[-1] == pytest.approx(reference.v[-1], abs=1e-3)
+
+
 @pytest.mark.parametrize(("friction", "sliding"), [(1.0, 0.0), (0.0, 1.0)])
 def test_an_impact_without_restitution_has_its_own_friction(friction, sliding):
     model = slider()

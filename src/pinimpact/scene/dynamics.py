@@ -167,6 +167,7 @@ class SceneDynamics:
                 "joint_velocity": layout.chains[0],
                 "velocity_parent": layout.chains[1],
                 "velocity_joint": layout.velocity_joint,
+                "joint_metres": layout.metres_per_unit,
                 "contact_blocks": tables.blocks,
                 "sphere_constants": tables.spheres,
                 "friction": tables.friction,

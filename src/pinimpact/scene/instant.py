@@ -277,7 +277,7 @@ class Instant:
 
         Args:
             i: The contact or limit that collides.
-            approach: Its speed of approach [m/s or rad/s].
+            approach: Its speed of approach [m/s].
             before: The impacts of this instant so far.
 
         Raises:

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..geometry._kernels.constants import CONSTANTS
 from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
@@ -21,6 +22,7 @@ from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
 from ..robot.shape_pair import ShapePair, shape_pair
 from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
+from .joint_metres import gyration, metres_per_unit
 from .reach import chain_length, link_lengths, out_of_reach
 
 K = TypeVar("K")
@@ -62,6 +64,7 @@ class SceneLayout:
         self._spare_dynamics: list[RobotDynamics] = []
         self._spare_data: list[Any] = []
         self._damping: _Last[bytes, float] = _Last()
+        self._gyration: _Last[bytes, Array] = _Last()
         self._tables: _Last[tuple[Contact, ...], ContactTables] = _Last()
         self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
 
@@ -79,12 +82,27 @@ class SceneLayout:
         """The finite bounds of the coordinates that are plain numbers."""
         return joint_limits(self._model)
 
-    @cached_property
+    @property
     def extent(self) -> float:
-        """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
+        """The robot's size L [m]: the longest chain to a contact or link, else of its masses, else 1 m."""
+        return self._longest or float(self._radii.max(initial=0.0)) or 1.0
+
+    @cached_property
+    def _longest(self) -> float:
+        """The longest chain to a contact, or the longest link; zero where there is none [m]."""
         links = link_lengths(self._model)
         chains = [chain_length(self._model, links, contact) for contact in self._bounding.values()]
-        return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
+        return max(*chains, *links, 0.0)
+
+    @property
+    def metres_per_unit(self) -> Array:
+        """(nv,) The speed that a unit of each velocity means, see `joint_metres`."""
+        return metres_per_unit(self._model, self._radii, self.extent)
+
+    @property
+    def _radii(self) -> Array:
+        inertias = [inertia.toDynamicParameters() for inertia in self._model.inertias]
+        return self._gyration.of(np.concatenate(inertias).tobytes(), lambda _: gyration(self._model))
 
     @cached_property
     def unreachable(self) -> tuple[str, ...]:

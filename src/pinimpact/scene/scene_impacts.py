@@ -116,7 +116,7 @@ class SceneImpacts:
             q: (nq,) configuration.
             v: (nv,) velocity before it.
             i: Which.
-            approach: Its speed of approach [m/s or rad/s].
+            approach: Its speed of approach [m/s].
         """
         slow = self._sustained and approach <= self._resting_speed
         contacts = len(self._dynamics.contacts)
@@ -156,17 +156,19 @@ class SceneImpacts:
         e = self._limit_restitution
         resting = e > 0.0 and self._sustained and (slow or e * approach < self._resting_speed)
         e = 0.0 if resting else e
+        speed = float(v[limit.index_v])
         column = self._yielding_inverse(t, q, v)[:, limit.index_v]
         c = float(column[limit.index_v])
-        speed = float(v[limit.index_v])
         constrained = self._held or self._locked
         if constrained and c <= ROUNDING * float(np.abs(column).max(initial=0.0)):
             raise SimulationError(
-                f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but held "
+                f"locked: the joint limit {limit.name!r} is hit at {abs(speed):.6g}, but held "
                 "contacts or locked joints keep the joint from moving; remove them there",
                 value=limit.name,
             )
-        return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(of_limit, c, -approach, e))
+        return Impact(
+            v - column * ((1.0 + e) * speed / c), resting, partial(of_limit, c, limit.sign * speed, e)
+        )
 
     def resolve_group(
         self,
@@ -222,7 +224,7 @@ class SceneImpacts:
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
         sources = [touching[k] for k in chosen.tolist()]
         try:
-            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
+            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e, sources)
         except UnstoppableApproachError:
             # what is closed may approach along what nothing moves, by the error of steps: that is none
             rests = work.modes[sources, None] > np.array([SLIP, SLIP, FREE])
@@ -230,7 +232,7 @@ class SceneImpacts:
             if not rests.any():
                 raise
             velocity = np.where(rests, 0.0, velocity)
-            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
+            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e, sources)
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
         return group_impact(v, response, solved, sources, axes, 0.0)
 
@@ -279,7 +281,7 @@ class SceneImpacts:
         e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
         numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
         try:
-            solved = self._solve("propagate", every, numbers, e)
+            solved = self._solve("propagate", every, numbers, e, touching)
         except UnstoppableApproachError:  # what neither forces nor impulses can hold
             return None
         change = matrices.delassus @ solved.solution.impulse.ravel()
@@ -321,6 +323,7 @@ class SceneImpacts:
         struck: Sequence[Contact | None],
         numbers: tuple[Array, Array, Array, Array],
         e: Sequence[float],
+        sources: Sequence[int],
     ) -> Solved:
         """Solve an impact at many contacts; modes let rest what bounces slower than the resting speed.
 
@@ -329,6 +332,7 @@ class SceneImpacts:
             struck: The contacts, None for each limit.
             numbers: Delassus matrix, velocities, friction and velocities of the surfaces.
             e: Restitution.
+            sources: Their numbers.
         """
         delassus, velocity, friction, surface = numbers
         stiffness = _stiffness(struck, delassus)
@@ -340,14 +344,20 @@ class SceneImpacts:
         inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
         solution = policy.run(inputs, False)
         pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
+        slowest = [self._resting_speed / self._metres(i) for i in sources]
         resting = [
-            0.0 < bounce < self._resting_speed and p > 0.0 and one > 0.0
-            for bounce, p, one in zip(bounces, pressed, e, strict=True)
+            0.0 < bounce < slow and p > 0.0 and one > 0.0
+            for bounce, slow, p, one in zip(bounces, slowest, pressed, e, strict=True)
         ]
         problem = ImpactProblem(
             *(delassus, velocity, friction, restitution, law, surface), stiffness=stiffness
         )
         return Solved(solution, resting, ImpactGroup(problem, name))
+
+    def _metres(self, i: int) -> float:
+        """Return the metres per unit of a row: 1 of a contact, see `joint_metres` for a limit."""
+        k = i - len(self._dynamics.contacts)
+        return 1.0 if k < 0 else float(self._dynamics.work.joint_metres[self._dynamics.limits[k].index_v])
 
     def _is_plastic(self, contact: Contact | None) -> bool:
         """Whether a contact, or a limit, restores nothing whatever its law, and nothing is held or locked."""

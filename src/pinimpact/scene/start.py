@@ -64,7 +64,8 @@ def check_start(
             advice = "start with every contact on or above its surface"
         else:
             limit = dynamics.limits[i - count]
-            overlap = f"q0: the joint starts {-gap:.6g} beyond its limit {names[i]!r} ({limit.bound:.6g})"
+            beyond = limit.sign * (limit.bound - state.q[limit.index_q])
+            overlap = f"q0: the joint starts {beyond:.6g} beyond its limit {names[i]!r} ({limit.bound:.6g})"
             overlap += degrees_hint(state.q[limit.index_q])
             advice = 'start within the limits, or leave them out with without=("joint limits",)'
         if not -gap <= left(rates[i]):
@@ -75,7 +76,7 @@ def check_start(
 
 
 def left_by_steps(dt: float, extent: float, gravity: float, rates: Any) -> Any:
-    """Return the overlap that a time step may leave within it [m or rad], for a rate of the gap.
+    """Return the overlap that a time step may leave within it [m], for a rate of the gap.
 
     A step sees to the gaps at its end, which it leads to from anywhere in it by their rates and what they
     change by, see `STEPS_SLACK`.
@@ -84,7 +85,7 @@ def left_by_steps(dt: float, extent: float, gravity: float, rates: Any) -> Any:
         dt: Length of the step [s].
         extent: The robot's size [m].
         gravity: The acceleration of gravity [m/s²].
-        rates: Rates of gaps, a number or an array [m/s or rad/s].
+        rates: Rates of gaps, a number or an array [m/s].
     """
     return STEPS_TOUCH * extent + dt * (np.maximum(-rates, 0.0) + STEPS_SLACK * dt * gravity)
 

@@ -40,7 +40,7 @@ class ActiveSets(NamedTuple):
 
     Attributes:
         rows: (m,) rows whose velocities vanish, but for what gaps leave.
-        gaps: (m,) gaps at the midpoint that a row closes [m or rad], zero where it closes none.
+        gaps: (m,) gaps at the midpoint that a row closes [m], zero where it closes none.
         closing: (m,) of these gaps, see `PINNED`.
         compliances: (m,).
         slides: The contacts that slip.

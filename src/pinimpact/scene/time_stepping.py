@@ -221,7 +221,7 @@ class TimeStepping(Integrator):
         while True:
             found, state.pushed = _empty_result(rows, len(v)), np.array(pushed)
             off, *ends = midpoint_step(
-                *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf),
+                *(self.work, t + 0.5 * h, h, middle, v, strikes),
                 *(system, rows, state.warm_start, state.pushed, found),
             )
             self.dynamics.check()
@@ -276,8 +276,8 @@ class TimeStepping(Integrator):
         items[3 * every - 2 * nc :][: len(rows.limits)] = active[nc:]
         islands = np.empty(self._trees, dtype=np.int64)
         trees_at_rest(
-            *(*velocities, self._still, self._tree, rows.columns, rows.counts, nc, items),
-            *(rows.surface, islands),
+            *(*velocities, self.work.joint_metres, self._still, self._tree, rows.columns, rows.counts),
+            *(nc, items, rows.surface, islands),
         )
         if step.closed is not None and self._rest.begin(islands, step.closed):
             velocities[1][islands[self._tree] >= 0] = 0.0
@@ -289,7 +289,7 @@ class TimeStepping(Integrator):
             q: (nq,) configuration at the midpoint.
             v: (nv,) velocity.
             h: Length of the step [s].
-            slack: What gaps may close by beside their rates [m or rad].
+            slack: What gaps may close by beside their rates [m].
             placed: Whether kinematics are those of this state already.
         """
         near, joints = self._near, self._rest.joints
@@ -394,7 +394,7 @@ class TimeStepping(Integrator):
         Args:
             step: The step, which ends where it is taken away.
             h: Its length [s].
-            depth: The largest overlap [m or rad].
+            depth: The largest overlap [m].
         """
         state, nv = self.state, self.model.nv
         moved, still, before = np.zeros(nv), np.zeros(nv), self._energy_at(state.q)

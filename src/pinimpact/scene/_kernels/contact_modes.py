@@ -78,7 +78,7 @@ def set_modes(work, t, q, v, slow):
     while tried < ROUNDS and stopped > STILL * work.stick_speed:
         for j in range(n):  # stopping one may have set other joints in motion
             if dry[j] > 0.0:
-                slow_enough = abs(v[j]) <= work.stick_speed
+                slow_enough = work.joint_metres[j] * abs(v[j]) <= work.stick_speed
                 moves = sliding[j] * v[j] > dry[j] * certain
                 rests = slow_enough and not moves and dragged[j] == 0
                 held = work.modes[work.contacts + work.limits + j] != 0

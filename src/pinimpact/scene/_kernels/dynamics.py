@@ -100,9 +100,15 @@ def contact_gaps(work, found, spheres):
 
 @inlined
 def limit_gap(work, k, q, v):
-    """Return gap and gap rate of a joint limit at a state."""
-    sign = work.limit_sign[k]
-    return sign * (q[work.limit_q[k]] - work.limit_bound[k]), sign * v[work.limit_v[k]]
+    """Return gap and gap rate of a joint limit at a state, in metres as of a contact."""
+    scale = limit_scale(work, k)
+    return scale * (q[work.limit_q[k]] - work.limit_bound[k]), scale * v[work.limit_v[k]]
+
+
+@inlined
+def limit_scale(work, k):
+    """Return the derivative of the gap of a joint limit by its coordinate [m/rad, or 1]."""
+    return work.limit_sign[k] * work.joint_metres[work.limit_v[k]]
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)

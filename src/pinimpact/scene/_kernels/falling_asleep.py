@@ -10,11 +10,12 @@ from .step_impulses import label_trees
 
 
 @declared(
-    *(FLOATS, FLOATS, FLOATS, float, INTEGERS, INTEGER_ROWS, INTEGERS, int, FLAGS, FLOAT_ROWS, INTEGERS),
+    *(FLOATS, FLOATS, FLOATS, FLOATS, float),
+    *(INTEGERS, INTEGER_ROWS, INTEGERS, int, FLAGS, FLOAT_ROWS, INTEGERS),
     result=int,
 )
 @jit
-def trees_at_rest(v, v_end, moved, still, tree, columns, counts, contacts, active, surface, island):
+def trees_at_rest(v, v_end, moved, metres, still, tree, columns, counts, contacts, active, surface, island):
     """Fill the island of each tree that has come to rest, −1 for the others; return how many have.
 
     An island rests where none of its velocities exceeds what counts as none, at the start of the step and at
@@ -24,7 +25,8 @@ def trees_at_rest(v, v_end, moved, still, tree, columns, counts, contacts, activ
         v: (nv,) velocity at the start of the step.
         v_end: (nv,) at the end.
         moved: (nv,) displacement by which overlap was taken away, over the length of the step.
-        still: What counts as none [m/s or rad/s].
+        metres: (nv,) per unit of each velocity, see `joint_metres`.
+        still: What counts as none [m/s].
         tree: (nv,) number of the tree that each velocity belongs to.
         columns, counts: Of the rows of the step, see `midpoint_step`.
         contacts: How many contacts come first, held ones not among them.
@@ -38,7 +40,7 @@ def trees_at_rest(v, v_end, moved, still, tree, columns, counts, contacts, activ
     for k in range(len(rests)):
         rests[k] = True
     for c in range(len(v)):
-        if max(abs(v[c]), abs(v_end[c]), abs(moved[c])) > still:
+        if metres[c] * max(abs(v[c]), abs(v_end[c]), abs(moved[c])) > still:
             rests[label[tree[c]]] = False
     for i in range(len(surface)):
         item = i if i < contacts else contacts + 3 * (i - contacts)

@@ -22,6 +22,7 @@ from .dynamics import (
     evaluate_without_contacts,
     follow_surface,
     limit_gap,
+    limit_scale,
     motion_by_columns,
     moving_columns,
     set_state,
@@ -42,7 +43,7 @@ def near_rows(work, q, v, h, slack, idle, rests, placed, near):
         q: (nq,) configuration at the midpoint.
         v: (nv,) velocity.
         h: Length of the step [s].
-        slack: What gaps may close by beside their rates [m or rad].
+        slack: What gaps may close by beside their rates [m].
         idle: (n,) contacts that are kept for shapes which are apart.
         rests: (nj,) joints that are at rest, the world among them.
         placed: Whether kinematics are those of this state already.
@@ -104,7 +105,7 @@ def fill_rows(work, v, rows, u, acceleration):
                 values[a + e, m], columns[a + e, m] = jacobian[e, m], columns[a, m]
     for k in range(len(limits)):
         a = 3 * every + k
-        values[a, 0], columns[a, 0], counts[a] = work.limit_sign[limits[k]], work.limit_v[limits[k]], 1
+        values[a, 0], columns[a, 0], counts[a] = limit_scale(work, limits[k]), work.limit_v[limits[k]], 1
         gap[every + k], u[a] = limit_gap(work, limits[k], work.q, v)
     for k in range(len(dry)):
         a = 3 * every + len(limits) + k
@@ -156,39 +157,29 @@ def free_velocity(h, v, acceleration, system, predicted, out):
 
 
 @inlined
-def find_arrivals(work, h, touching, collides, rows, acceleration, free, found):
-    """Fill in which contacts and limits collide in the step: open ones of those that may, which close fast.
+def find_arrivals(work, h, strikes, collides, rows, acceleration, free, found):
+    """Fill in which contacts and limits collide if they close in the step: those that may, and close fast.
 
     Args:
         work: The workspace.
         h: Length of the step [s].
-        touching: Gap above which what is open can arrive [m].
+        strikes: Whether anything is to collide.
         collides: (n + nl,) see `StepSystem`.
         rows: The `StepRows`.
         acceleration: (nc + nh, 3) of contacts without contact forces [m/s²].
         free: (rows,) velocities at the end of the step without impulses.
         found: The `StepResult`, with `u_start`; its `arrives` is filled.
     """
-    contacts, limits, gap, u_start, arrives = (
-        rows.contacts,
-        rows.limits,
-        rows.gap,
-        found.u_start,
-        found.arrives,
-    )
+    contacts, limits, u_start, arrives = rows.contacts, rows.limits, found.u_start, found.arrives
     nc, every = len(contacts), len(contacts) + len(rows.held)
     for i in range(nc + len(limits)):
-        row, place = normal_row(nc, every, i)
+        row = normal_row(nc, every, i)[0]
         number = contacts[i] if i < nc else work.contacts + limits[i - nc]
-        # what is apart and closes faster than the step's own acceleration makes: an impact
+        # what closes faster than the step's own acceleration makes has been apart: an impact
         own = abs(free[row] - u_start[row])
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
-        arrives[i] = (
-            collides[number]
-            and u_start[row] < -max(work.resting_speed, 2.0 * own)
-            and gap[place] - 0.5 * h * u_start[row] > touching
-        )
+        arrives[i] = strikes and collides[number] and u_start[row] < -max(work.resting_speed, 2.0 * own)
 
 
 @inlined
@@ -243,7 +234,7 @@ def close_gaps(h, rows, found):
     Returns:
         the part of the step until what arrives first touches, one if nothing does; the work of impulses along
         normals and limits until then [J]; and by how much what has taken part overlaps at the end, or what is
-        held is off [m or rad].
+        held is off [m].
     """
     nc, every, gap = len(rows.contacts), len(rows.contacts) + len(rows.held), rows.gap
     u_start, u_end, impulse, gap_end = found.u_start, found.u_end, found.impulse, found.gap_end
@@ -265,12 +256,12 @@ def close_gaps(h, rows, found):
 
 
 @declared(
-    *(SceneWorkspace, float, float, FLOATS, FLOATS, float),
+    *(SceneWorkspace, float, float, FLOATS, FLOATS, bool),
     *(StepSystem, StepRows, FLOATS, FLOATS, StepResult),
     result=FOUR_FLOATS,
 )
 @jit
-def midpoint_step(work, t, h, q, v, touching, system, rows, begin, pushed, found):
+def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found):
     """Take a step. (16.1)
 
     Args:
@@ -279,7 +270,7 @@ def midpoint_step(work, t, h, q, v, touching, system, rows, begin, pushed, found
         h: Length of the step [s].
         q: (nq,) configuration at the midpoint.
         v: (nv,) velocity at the start.
-        touching: Gap above which what is open can arrive [m]; infinite where nothing is to collide.
+        strikes: Whether what closes fast is to collide.
         system: The `StepSystem`.
         rows: The `StepRows`, of which only the numbers are set.
         begin: (nv,) see `step_impulses`.
@@ -303,7 +294,7 @@ def midpoint_step(work, t, h, q, v, touching, system, rows, begin, pushed, found
         offset[a] = u_start[a] - offset[a]
     free_velocity(h, v, work.acceleration, system, v, predicted)
     velocities(rows, offset, predicted, free)
-    find_arrivals(work, h, touching, system.collides, rows, acceleration, free, found)
+    find_arrivals(work, h, strikes, system.collides, rows, acceleration, free, found)
     for c in range(nv):
         predicted[c] += h * pushed[c]  # by impulses as in the step before
         mean[c] = 0.5 * (v[c] + predicted[c])

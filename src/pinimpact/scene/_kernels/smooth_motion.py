@@ -132,7 +132,8 @@ def modes_continue(work):
         if mode[k] == SLIP and mu[k] > 0.0 and math.hypot(velocity[k, 0], velocity[k, 1]) <= slowest:
             return False
     for j in range(len(v0)):
-        if work.dry_friction[j] > 0.0 and modes[contacts + work.limits + j] == 0 and abs(v0[j]) <= slowest:
+        speed = work.joint_metres[j] * abs(v0[j])
+        if work.dry_friction[j] > 0.0 and modes[contacts + work.limits + j] == 0 and speed <= slowest:
             return False
     return True
 

@@ -22,7 +22,7 @@ class StepRows(NamedTuple):
         columns: (rows, …) their columns, in ascending order.
         counts: (rows,) their numbers.
         surface: (nc + nh, 3) velocities of the surfaces [m/s].
-        gap: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m or rad].
+        gap: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m].
     """
 
     contacts: Integers
@@ -90,13 +90,13 @@ class StepResult(NamedTuple):
     """What a step leads to.
 
     Attributes:
-        impulse: (rows,) the impulses [N s or N m s].
-        u_start: (rows,) velocities of the rows at the start [m/s or rad/s].
+        impulse: (rows,) the impulses [N s], of dry joints [N s or N m s].
+        u_start: (rows,) velocities of the rows at the start [m/s], of dry joints [m/s or rad/s].
         u_end: (rows,) those at the end.
         arrives: (nc + nl,) what closes so fast that it collides: it has no impulse here.
         predicted: (nv,) the velocity with which forces were evaluated at the end.
         v_end: (nv,) the velocity at the end.
-        gap_end: (nc + nl,) the gaps at the end [m or rad].
+        gap_end: (nc + nl,) the gaps at the end [m].
     """
 
     impulse: Floats

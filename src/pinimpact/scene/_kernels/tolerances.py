@@ -116,7 +116,7 @@ SHORT_WHILE = 1e-3
 # ---- starts
 
 START_ROUNDING = 2e-9
-"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding. Time
+"""A start that is this far [m] below a surface or beyond a limit is one at it, but for rounding. Time
 steps may leave more, see `STEPS_SLACK`; the event-driven scheme does not start there."""
 
 HELD_GAP = 1e-3

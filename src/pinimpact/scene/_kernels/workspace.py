@@ -73,6 +73,7 @@ class SceneWorkspace(Workspace):
     velocity_parent = integers("nv", meaning="the velocity before each on the way to the root, or −1")
     velocity_signs = reals("nv", meaning="of a contact: 1 moves the tip only, −1 the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
+    joint_metres = reals("nv", meaning="per unit of each velocity: 1 of what slides, see `joint_metres`")
     contact_blocks = integers(
         "blocks", 3, meaning="first contact, the one after the last, and the sphere or −1"
     )

@@ -28,10 +28,11 @@ first_closing = search_for_closing(value)
 def bound(work, k):
     """Fill the bounds of the motion over the step, see `gap_bounds.curvatures`; a limit is flat."""
     bounds, rates, j = work.limit_bounds, work.rate_bounds, work.limit_v[k]
+    scale = SAFETY * work.joint_metres[j]
     bounds[k, 0], bounds[k, 1], bounds[k, 2], bounds[k, 3] = (
-        SAFETY * rates[1, j],
-        SAFETY * rates[3, j],
-        SAFETY * rates[0, j],
+        scale * rates[1, j],
+        scale * rates[3, j],
+        scale * rates[0, j],
         math.inf,
     )
 
