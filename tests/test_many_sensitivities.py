@@ -113,6 +113,25 @@ def test_a_joint_limit_takes_part(e, dry):
     assert {"tip", "j1 lower"} in groups(run)
 
 
+def test_what_is_at_rest_has_its_restitution():
+    # the elbow strikes its limit while the tip slides on the floor, from which it then bounces
+    tip = Contact("tip", Plane(point=(0, 0, -0.45)), 0.1, 0.4, "energetic", name="tip")
+    scene = Scene(arm(), [tip], limit_restitution=0.5)
+    start = np.array([[0.2, -0.05, 0.05], [1.3, -1.0, 0.1]])
+    run = agrees(scene, *start, 0.209, 3, ("friction:tip", "restitution:tip"))
+    assert {"tip", "j1 lower"} in groups(run)
+    assert ("tip", "slip") in modes(run)
+
+
+def test_two_joint_limits():
+    # stiffnesses of limits alone are the inverses of their W
+    model = arm()
+    model.lowerPositionLimit[0] = -0.5
+    start = np.array([[-0.2, -0.29, 0.05], [-3.0, -0.3, 2.0]])
+    run = agrees(Scene(model, [], limit_restitution=0.5), *start, 0.116, 2)
+    assert {"j1 lower", "j0 lower"} in groups(run)
+
+
 @pytest.mark.parametrize("e", [0.0, 0.5])
 def test_a_joint_limit_beside_a_locked_joint(e):
     scene = Scene(arm(), [], limit_restitution=e, locked=["j2"])

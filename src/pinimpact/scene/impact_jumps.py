@@ -296,9 +296,7 @@ class GroupJump:
     def _matters(self, parameter: Parameter, place: int) -> bool:
         """Whether an impact depends on a coefficient of a contact; not on e where a bounce would rest."""
         used = self._inputs.restitution[place]
-        return parameter.kind == "friction" or (
-            not self._closed[place] and used == self._contacts[place].restitution
-        )
+        return parameter.kind == "friction" or used == self._contacts[place].restitution
 
     def _change(self, velocity: Array, of_q: Array) -> Change:
         """Return the change of the impact's data for a change of velocities (3n,) and of q (nv,)."""
@@ -311,9 +309,9 @@ class GroupJump:
             if inputs.restitution[i] > 0.0:
                 bend = slope_of_restitution(contact, max(-float(inputs.velocity[i, 2]), 0.0))
                 restitution[i] = -bend * velocity[i, 2]
-        if 0 < k < len(velocity):  # κ w of a limit is the mean of the contacts'
+        if k < len(velocity):  # κ w of a limit is the mean of the contacts', or constant without any
             w, dw = inputs.delassus.diagonal()[2::3], delassus.diagonal()[2::3]
-            moved = float(np.mean(inputs.stiffness[:k] * dw[:k]))
+            moved = float(np.mean(inputs.stiffness[:k] * dw[:k])) if k > 0 else 0.0
             stiffness[k:] = (moved - inputs.stiffness[k:] * dw[k:]) / w[k:]
         return Change(velocity, delassus, np.zeros(len(velocity)), restitution, stiffness)
 
