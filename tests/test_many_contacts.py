@@ -674,6 +674,14 @@ def test_an_approach_that_nothing_can_stop():
         solve_impact(ImpactProblem(w, [[0, 0, -1.0], [0, 0, -2.0]], 0.0, 0.5, "energetic"))
 
 
+def test_passes_that_say_nothing_are_no_answer():
+    # contact 0 cannot be stopped; a pass by steps leaves half of its approach
+    rows = np.array([[-2, 1], [0, -2], [-1, 1], [0, -1], [-1, -2], [1, 1]], dtype=float)
+    start = [[0.0, 2.0, -1.0], [0.0, 0.0, 0.0]]
+    with pytest.raises(pinimpact.UnstoppableApproachError, match="contact 0"):
+        solve_impact(ImpactProblem(rows @ rows.T, start, [0.8, 0.3], 0.0, "energetic"))
+
+
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 @pytest.mark.parametrize("restitution", [0.6, 0.01])
 @pytest.mark.parametrize("seed", [3, 11, 22])

@@ -12,6 +12,9 @@ from scipy.special import ellipj, ellipk
 
 import pinimpact
 from pinimpact import Contact, Plane, Scene, SimulationError, load_robot, simulate
+from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.options import Options
+from pinimpact.scene.progress import MAX_STALLED
 
 from .scene_models import UP, G, ball, free_body, pendulum, run, slider, unbounded
 
@@ -395,3 +398,12 @@ def test_an_arm_with_rotors_keeps_its_energy():
         assert trajectory.energy.potential[k] == pytest.approx(height, rel=1e-12, abs=1e-12)
     assert np.ptp(trajectory.energy.potential) > 0.1
     assert np.abs(trajectory.energy.residual).max() < 1e-7
+
+
+@pytest.mark.parametrize(("covered", "refused"), [(1e-9, True), (1e-7, False)])
+def test_steps_that_cover_no_time_are_refused(covered, refused):
+    model = ball()
+    integrator = Integrator(Scene(model), pin.neutral(model), np.zeros(6), Options())
+    integrator.state.steps, integrator.state.t = MAX_STALLED + 1, covered
+    error = integrator.progress.stalled(1.0)
+    assert ("without progress" in str(error)) == refused

@@ -16,7 +16,7 @@ from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign, ones
-from .tolerances import EXACT, FALLS_BACK, SOLVED, TINY
+from .tolerances import EXACT, FALLS_BACK, NOISE, TINY
 
 CONE = np.int64(3)
 """Size of the cones of friction."""
@@ -381,7 +381,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     for _ in range(MAX_ITERATIONS):
         answer_signals()
         gap, missing = _residuals(P, c, G, h, x, s, z, rx, rz)
-        accuracy = max(gap, missing) if missing > SOLVED else gap
+        accuracy = max(gap, missing) if missing > NOISE else gap
         if accuracy < best:
             best = accuracy
             assign(best_x, x)

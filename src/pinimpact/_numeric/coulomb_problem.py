@@ -27,7 +27,7 @@ from .cone_program import cholesky, substitute
 from .least_norm import least_norm
 from .loops import assign, flags, repeated
 from .products import apply
-from .tolerances import ACCURATE, COMPLIANCE, EXACT, NEAR, PIVOT, ROUNDOFF, SMALL
+from .tolerances import COMPLIANCE, COMPUTED, EXACT, NEAR, ROUNDOFF, SMALL
 from .tolerances import USABLE as USABLE  # for those who solve
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
@@ -223,7 +223,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
             if now < best:
                 best = now
                 assign(x, trial)
-            if best <= ACCURATE:
+            if best <= COMPUTED:
                 break
         if changed:
             _fill_factor(scaled.w, penalty, factor)
@@ -352,7 +352,7 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
             *(delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f),
             *(undecided, system, right),
         )
-        least_norm(system, right, PIVOT, step, no_basis)
+        least_norm(system, right, COMPUTED, step, no_basis)
         for a in range(size):
             trial[a] += step[a] * scale_f[a]
         now = residual(

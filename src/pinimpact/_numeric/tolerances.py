@@ -7,13 +7,15 @@ EPS = 2.0**-52
 TINY = 1e-300
 """A divisor in the place of zero: what it divides is zero then, or as good as infinite."""
 
-ROUNDING = 1e-12
+EXACT, ROUNDOFF, NOISE, ROUNDING, COMPUTED = 1e-15, 1e-14, 1e-13, 1e-12, 1e-11
 """Part of the largest of what belongs together (sizes, times, speeds, entries of a matrix) that is rounding:
-some thousands of roundings."""
+of a few operations (a residual at which Newton's method does not start); of some fifty (one at which it
+stops, the inverse inertia of a row that nothing moves); of some hundred (residuals of equations of order
+one); of some thousand; and of numbers that come from M⁻¹ and W of a robot, with their condition (pivots,
+forces)."""
 
-EXACT, ROUNDOFF = 1e-15, 1e-14
-"""The same of a few roundings, and of some fifty: a residual at which Newton's method does not start, and one
-at which it stops; the inverse inertia of a row that nothing moves."""
+LITTLE = 1e-3
+"""Part of something beside which something else is little, so that it does not matter how much it is."""
 
 HALF_DIGITS = 2.0**-26
 """The same where numbers have been through what may cost half of their digits; its square is `EPS`."""
@@ -21,10 +23,8 @@ HALF_DIGITS = 2.0**-26
 # ---- pivots
 
 RANK = 1e-10
-"""A pivot or singular value below this part of the largest is taken as zero."""
-
-PIVOT = 1e-11
-"""The same for Newton's equations at a solution, whose entries are known to rounding."""
+"""A pivot or singular value below this part of the largest is taken as zero. For Newton's equations at a
+solution, whose entries are known to rounding, one below `COMPUTED` is."""
 
 # ---- Coulomb's law by multipliers and Newton's method
 
@@ -35,8 +35,8 @@ not change the fixed point."""
 NEAR = 1e-2
 """Residual below which Newton's method is tried."""
 
-ACCURATE, USABLE = 1e-11, 1e-10
-"""Residuals of forces: one at which to stop, and one that is accepted if it does not decrease further."""
+USABLE = 1e-10
+"""Residual of forces that is accepted if it does not decrease further; at `COMPUTED` the iteration stops."""
 
 SMALL = 1e-5
 """A compliance that is small relative to the largest of W: extrapolation leaves an error of its square,
@@ -58,6 +58,3 @@ STALLED = 1e-5
 
 FALLS_BACK = 1e-6
 """Accuracy from which on an increase of the residual means that double precision is exhausted."""
-
-SOLVED = 1e-13
-"""Residual of the equations, of order one, that is rounding."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import EPS
+from .._numeric.tolerances import EPS, LITTLE
 from ..arrays import Array
 from ..checks import above_zero
 from ..errors import InputError, ModelError, SimulationError
@@ -43,9 +43,9 @@ TILT = (-0.15, 0.25, 0.0)
 LEAST_LEVER = 0.01
 """A point counts as movable if joints at 1 rad/s or m/s give it this speed [m/s], and it reaches that part of
 its speed."""
-WEAK, LEAST_RANK = 0.1, 1e-3
-"""Lever arms relative to the longest one below which a direction is left out: by default, and where the user
-gives the direction."""
+WEAK = 0.1
+"""Lever arms relative to the longest one below which a direction is left out by default; where the user gives
+it, `LITTLE`."""
 STIFFNESS, DAMPING, G = 1.0, 0.05, 9.81
 """Of springs in the joints of a free base, in weight times size per rad and √(size/g); g [m/s²]."""
 FLOOR = 0.1
@@ -265,7 +265,7 @@ def _touch(
             jacobian = _jacobian(body, strike, i)
             wanted = along if along is not None else tried.T @ default
             v = np.zeros(model.nv)
-            least = WEAK if along is None else LEAST_RANK
+            least = WEAK if along is None else LITTLE
             v[: jacobian.shape[1]] = np.linalg.pinv(jacobian, rcond=least) @ wanted
             reached = jacobian @ v[: jacobian.shape[1]]
             rate = float(np.linalg.norm(reached))

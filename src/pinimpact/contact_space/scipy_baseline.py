@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from .._numeric.tolerances import LITTLE
 from ..errors import LawError
 from ..status import Flag, Status
 from .inputs import Array, Inputs
@@ -106,7 +107,7 @@ class _Motion:
             return np.array([*dP, v[2], v[:2] @ dP[:2]])
 
         events, end = self._events()
-        tolerances = {"rtol": self.rtol, "atol": 1e-3 * self.rtol * self.scale * self.size}
+        tolerances = {"rtol": self.rtol, "atol": LITTLE * self.rtol * self.scale * self.size}
         return solve_ivp(rates, (self.y[2], end), self.y, **tolerances, events=events)
 
     @property

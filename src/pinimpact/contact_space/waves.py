@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from .._numeric.tolerances import TINY
+from .._numeric.tolerances import LITTLE, TINY
 from ..checks import in_short, real_number
 from ..errors import InputError
-from ._kernels.tolerances import AGREE, COARSEST, FINEST, FIRST_RESTITUTION, MISSED, STEP_ACCURACY, USEFUL
+from ._kernels.tolerances import AGREE, FINEST, MISSED, STEP_ACCURACY
 from .at_once import solve_together
 from .inputs import Array
 from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
@@ -93,7 +93,8 @@ SPENT = 50_000
 """Steps after which no smaller coefficient of restitution is tried."""
 
 MOST_RESTITUTIONS = 8
-"""Coefficients of restitution, halved each time, from two of which steps extrapolate to e = 0, at most."""
+"""Coefficients of restitution, from `LITTLE` on and halved each time, from two of which steps extrapolate to
+e = 0, at most."""
 
 
 def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> ManySolution | None:
@@ -104,9 +105,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     numbers: Array | None = None
     last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
-        little = inputs._replace(
-            restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution)
-        )
+        little = inputs._replace(restitution=np.where(plastic, 0.5**k * LITTLE, inputs.restitution))
         found = _passes(little, exponent, rows, accuracy, by_steps)
         if found is None:
             break
@@ -114,7 +113,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         last, by_steps, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
         missed = by_steps
         if plastic.any():  # what two extrapolations differ by, or the first coefficient before there are two
-            change = FIRST_RESTITUTION
+            change = LITTLE
             if before is not None:
                 change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
             enough = k > 1 and change <= max(by_steps, AGREE)
@@ -125,7 +124,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         return None
     impulse = _within_cones(inputs, numbers)
     missed = max(missed, _differ(inputs, impulse.ravel(), numbers), _approach_left(inputs, impulse.ravel()))
-    if not missed <= USEFUL:
+    if not missed <= LITTLE:
         return None
     velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
     works = numbers[3 * n :].reshape(n, 3)
@@ -173,14 +172,14 @@ def _passes(
 
     Returns:
         Impulses and works (6n,), by how much velocities differ from those of a pass with a tenth of the
-        accuracy, the number of all steps, and the accuracy; None where passes do not agree.
+        accuracy, the number of all steps, and the accuracy; None where passes differ by more than `LITTLE`.
     """
     nowhere = np.empty((0, 3 * len(inputs.velocity) + 1))
     steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
     if steps > 0 and missed < np.inf:
         return best, missed, steps, accuracy
     finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
-    while steps == 0 and accuracy < COARSEST:
+    while steps == 0 and accuracy < AGREE:
         accuracy *= 10.0
         steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
         total += steps or MOST_SHORT_STEPS
@@ -195,7 +194,7 @@ def _passes(
     if missed == np.inf:
         steps, other = _pass(inputs, exponent, rows, 10.0 * accuracy, nowhere)
         total, missed = total + steps, _differ(inputs, best, other) if steps > 0 else np.inf
-    return (best, missed, total, accuracy) if missed <= USEFUL else None
+    return (best, missed, total, accuracy) if missed <= LITTLE else None
 
 
 def _pass(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Integers
 from .convex_shape import PlacedShape, cross
-from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, PARALLEL, TIE
+from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, TIE
 
 
 class Gap(NamedTuple):
@@ -202,7 +202,7 @@ def _crossed(a: PlacedShape, b: PlacedShape, near: Array | None) -> tuple[Array,
     u, w = np.repeat(u, len(w), axis=0), np.tile(w, (len(u), 1))
     normals = cross(u, w)
     lengths = np.linalg.norm(normals, axis=1)
-    some = lengths > PARALLEL
+    some = lengths > COINCIDE
     normals, u, w = normals[some] / lengths[some, None], u[some], w[some]
     if near is not None:
         return np.where((normals @ near)[:, None] < 0.0, -normals, normals), u, w
@@ -364,7 +364,7 @@ def _foot_on_edge(point: Array, shape: PlacedShape, k: int) -> tuple[Array, floa
 
 
 def _crossing(
-    a: PlacedShape, m: int, b: PlacedShape, k: int, parallel: float = PARALLEL
+    a: PlacedShape, m: int, b: PlacedShape, k: int, parallel: float = COINCIDE
 ) -> tuple[float, float, tuple[Array, Array]]:
     """Return the closest points of the lines of two edges, as fractions of the edges and as points.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .._numeric.tolerances import EPS, ROUNDING
+from .._numeric.tolerances import EPS, NOISE, ROUNDING
 
 COAL_ERROR = 1e-10
 """Largest error of coal's distance, which makes boxes larger."""
@@ -21,16 +21,13 @@ LOCAL = 1e-5
 COINCIDE = 1e-9
 """Distance below which points coincide: points of contact, corners of a patch, and shapes that touch, whose
 edges are all tried; points that are this close to a plane or a line lie in it, and normals of facets of one
-face differ by less."""
+face differ by less, and edges whose angle has a smaller sine do not determine a normal."""
 
-TIE = 1e-13
+TIE = NOISE
 """Tolerance for equal separations; faces then precede edges."""
 
 NEAREST = 4.0 * ROUNDING
 """Tolerance for equally close points, and for features that touch together."""
-
-PARALLEL = 1e-9
-"""Sine of the angle below which two edges do not determine a normal."""
 
 FACE = 1.0 - 1e-6
 """Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4e-3 rad,

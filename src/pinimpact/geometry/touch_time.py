@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape, cross
@@ -348,7 +349,7 @@ def _clear(bound: Callable[[float], float], longest: float) -> float:
         at_next = bound(low_next)
         if not at_next > 0.0:
             return low_next
-        if low_next - low <= 1e-3 * low_next:
+        if low_next - low <= LITTLE * low_next:
             return low_next
         low, at_low = low_next, at_next
         middle = 0.5 * (low + high)

@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, slopes_along
 from ..contact_space.many_inputs import many_inputs
@@ -25,7 +26,7 @@ from ..robot.names import free_velocities
 from ..robot.placed_robot import PlacedRobot
 from ..robot.shape_pair import contact_now
 from ._kernels.contact_forces import SLIP
-from ._kernels.tolerances import REPRODUCED, ROUNDING
+from ._kernels.tolerances import ROUNDING
 from .dynamics import SceneDynamics
 from .islands import islands, tree_roots
 from .records import ImpactGroup, ImpactRecord
@@ -191,7 +192,7 @@ class SingleJump(NamedTuple):
         """Return what changes (2nv, m) before the impact come to; see `GroupJump.after`."""
         after, on = self.by_state @ x, [one for one in parameters if one.contact == self.number]
         change = np.abs(self.record.v_after - self.record.v_before).max()
-        if not np.abs(self.v - self.record.v_after).max() <= REPRODUCED * change:
+        if not np.abs(self.v - self.record.v_after).max() <= MISSED * change:
             return None
         for column, parameter in enumerate(parameters, x.shape[1] - len(parameters)):
             if parameter in on:
@@ -273,7 +274,7 @@ class GroupJump:
         solution = find_policy(self._group.policy).run(inputs, False)
         impulse, change = solution.impulse.ravel(), record.v_after - record.v_before
         response = self._matrices.response
-        if not np.abs(response @ impulse - change).max() <= REPRODUCED * np.abs(change).max():
+        if not np.abs(response @ impulse - change).max() <= MISSED * np.abs(change).max():
             return None
         velocity = self._slopes.velocity(record.v_before) @ x[:nv] + self._matrices.jacobian @ x[nv:]
         velocity[self._still.ravel()] = 0.0

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
 from ..checks import finite_array, in_short
+from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
@@ -17,7 +18,7 @@ from ..robot.corner_motion import Corner
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import SLIP, STICK
-from ._kernels.tolerances import REMAINS, REPRODUCED, ROUNDING
+from ._kernels.tolerances import REMAINS, ROUNDING
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
@@ -312,7 +313,7 @@ class Saltation:
         """
         nv, response = len(removed), plus.inverse @ plus.rows[:, len(removed) :].T
         forces = np.linalg.lstsq(response, removed, rcond=ROUNDING)[0]
-        if not np.linalg.norm(response @ forces - removed) <= REPRODUCED * np.linalg.norm(removed):
+        if not np.linalg.norm(response @ forces - removed) <= MISSED * np.linalg.norm(removed):
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         work, end = self._dynamics.work, 0
         contacts, impulses = [], []

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
+from ._kernels.tolerances import ATOL, DT, RTOL
 from .integrator import Integrator
 from .options import Options, check_numbers
 from .scene import Scene
@@ -70,12 +71,12 @@ class Stepper:
         q0: ArrayLike,
         v0: ArrayLike,
         *,
-        rtol: float = 1e-8,
-        atol: float = 1e-10,
+        rtol: float = RTOL,
+        atol: float = ATOL,
         max_step: float | None = None,
         max_impacts: int = 100_000,
         scheme: str = "auto",
-        dt: float = 1e-3,
+        dt: float = DT,
     ) -> None:
         if isinstance(scene, Scene) and scene.control is not None:
             raise InputError(

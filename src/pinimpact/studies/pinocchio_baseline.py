@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .._numeric.tolerances import ACCURATE
+from .._numeric.tolerances import COMPUTED
 from ..checks import finite_array
 from ..contact_space.solution import Array
 from ..errors import UnknownNameError
@@ -20,8 +20,8 @@ MAX_ITERATIONS = 100_000
 
 
 def _settings(settings: pin.ADMMSolverSettings | pin.PGSSolverSettings) -> None:
-    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = ACCURATE
-    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = ACCURATE
+    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = COMPUTED
+    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = COMPUTED
     settings.max_iterations = MAX_ITERATIONS
     settings.solve_ncp = True
 

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 
 FRAMES_PER_SECOND = 60
 MAX_FRAMES = 2000
 """Largest number of evenly spaced frames; longer replays have wider spacing, to limit the file."""
 SLOWED = 20
-"""Number of impacts with the largest work of compression at which a replay slows down."""
-WEAK = 1e-3
-"""It does not slow down for impacts with less than this part of the largest work."""
+"""Impacts with the largest work of compression at which a replay slows down, unless their work is little."""
 EXTRA = 30
 """Additional frames on either side of an impact at which the replay slows down."""
 
@@ -35,7 +34,7 @@ def slowed(stopped: Sequence[float]) -> list[bool]:
     Args:
         stopped: Work of compression of each [J].
     """
-    least = WEAK * max(stopped, default=0.0)
+    least = LITTLE * max(stopped, default=0.0)
     hardest = sorted(range(len(stopped)), key=lambda i: -stopped[i])[:SLOWED]
     return [i in hardest and stopped[i] >= least > 0.0 for i in range(len(stopped))]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import always_inlined_bitcode, inlined
-from ..._numeric.tolerances import TINY
+from ..._numeric.tolerances import ROUNDING, TINY
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
     IMPULSE,
@@ -26,7 +26,7 @@ from .codes import (
 )
 from .delassus import LEANING, ZERO, Delassus, clear, nearly_singular, of_factor
 from .laws import counted, law_of_slow_approach
-from .tolerances import CLEAR, WELL_CONDITIONED
+from .tolerances import WELL_CONDITIONED
 
 PROCEEDS = np.int64(-1)
 """Instead of a status: there is an impact to be followed."""
@@ -271,7 +271,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         w11, w12, w13, w22, w23, w33, v1, v2, v3
     )
     fv1, fv2 = halves(-scale_v)
-    regular, found = clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED if len(factor) > 0 else CLEAR)
+    regular, found = clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED if len(factor) > 0 else ROUNDING)
     factored = leaning = not regular and len(factor) > 0
     lean1, lean2, rest = 0.0, 1.0, 0.0
     if leaning:

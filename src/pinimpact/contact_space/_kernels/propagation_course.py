@@ -11,7 +11,7 @@ from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import repeated
-from ..._numeric.tolerances import ROUNDOFF
+from ..._numeric.tolerances import LITTLE, ROUNDOFF
 from .codes import HELD, NONE_YET, OPEN, SLIPPING
 from .first_fall import NEVER
 from .plastic import come_to_rest, end_plastically, plastic_impulses_now
@@ -20,7 +20,7 @@ from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
 from .propagation_state import TIED, State, System, begins, close, loads, open_contact, stored
-from .tolerances import AGREE, NEGLIGIBLE, SAME, SEEN, SLIP_SPEED, SLOW
+from .tolerances import AGREE, NEGLIGIBLE, SAME, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
 """Order of the series that tells the pace of slips."""
@@ -340,7 +340,7 @@ def _step_length(system, series, accuracy, pace, h):
         for i in range(3 * n):
             largest = max(largest, abs(series.v[k, i]))
             # forces that cancel each other in all velocities are not seen there
-            largest = max(largest, SEEN * weight * abs(series.force[k - 1, i]) * pace / k)
+            largest = max(largest, LITTLE * weight * abs(series.force[k - 1, i]) * pace / k)
         for j in range(n):
             largest = max(largest, abs(series.indentation[k, j]))
         if largest > 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..._compile.jit import inlined
-from ..._numeric.tolerances import ROUNDOFF
+from ..._numeric.tolerances import NOISE, ROUNDOFF
 from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
 from .propagation_series import ORDER, SHORT
@@ -81,7 +81,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                     total -= series.force[i, x] * series.force[k - i, x]
                     total -= series.force[i, y] * series.force[k - i, y]
                 guard[k] = total
-            roots[j, 2] = _fall(guard, reach, 1e-2 * NEGLIGIBLE * strongest * strongest, crowded, work)
+            roots[j, 2] = _fall(guard, reach, NOISE * strongest * strongest, crowded, work)
         elif state.tangent[j] == SLIPPING:
             roots[j, 2], straight = _end_of_slip(state, series, h, reach, j, guard, work)
             if straight and roots[j, 2] < first:

@@ -10,12 +10,12 @@ from ..._compile.jit import inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
-from ..._numeric.tolerances import EXACT, TINY
+from ..._numeric.tolerances import EXACT, LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import bounded_unknowns, expand, force_inverse, hold, natural_pace, unknown_after
 from .propagation_slip_onset import align, begin_at_bound
 from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
-from .tolerances import AHEAD, BEGINS, FAR_FROM_BOUNDS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED, WEAK
+from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED, WEAK
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
@@ -89,7 +89,7 @@ def settle(system, state, series):
             apart = max(apart, abs(forces[i] - first[i]))
     known = not (redundant and moves)
     if fits or (not moves and apart > SAME * scale):
-        known = not redundant or _within_bounds(system, state, forces, 1.0 - FAR_FROM_BOUNDS)
+        known = not redundant or _within_bounds(system, state, forces, 1.0 - LITTLE)
     if not fits and not root:
         align(system, state, unit, weight, series)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)

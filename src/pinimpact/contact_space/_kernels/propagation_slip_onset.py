@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
-from ..._numeric.tolerances import PIVOT, ROUNDING
+from ..._numeric.tolerances import COMPUTED, ROUNDING
 from .codes import SLIPPING, STUCK
 from .propagation_series import answer_of_turn, expand, unknown_after
 from .propagation_state import AT_BOUND, RESUMED, TIED
@@ -102,7 +102,7 @@ def align(system, state, unit, weight, series):
             right[c] = -_across(system, state, j, series.force[0])
         for c in range(count):
             matrix[c, c] -= series.speed[0, places[c]]
-        if solve(matrix, right, turn, PIVOT) == 0:
+        if solve(matrix, right, turn, COMPUTED) == 0:
             largest = math.inf
             break
         largest = 0.0

@@ -13,8 +13,8 @@ import numpy as np
 from ..._compile.declared import Floats
 from ..._compile.jit import inlined
 from ..._numeric.cone_program import cholesky, substitute
-from ..._numeric.tolerances import ROUNDOFF
-from .tolerances import FITS, NEGLIGIBLE
+from ..._numeric.tolerances import LITTLE, ROUNDOFF
+from .tolerances import NEGLIGIBLE
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
 """Of Newton's method and of its line search at most; part of the slope that the search may leave."""
@@ -79,7 +79,7 @@ def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, for
                 normal = force_at(springs, j, x[j] - part * v[z])
                 change = max(change, part * friction[j] * abs(normal - force[z]))
                 force[z] = normal
-        if change <= FITS * creep:
+        if change <= LITTLE * creep:
             return True
     return False
 
@@ -121,7 +121,7 @@ def _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         off = 0.0
         for k in range(r):
             off = max(off, abs(gradient[k]))
-        if off <= FITS * creep or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
+        if off <= LITTLE * creep or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
             return
         last = off
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)

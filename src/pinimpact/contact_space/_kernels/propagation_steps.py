@@ -15,10 +15,10 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
-from ..._numeric.tolerances import TINY
+from ..._numeric.tolerances import LITTLE, TINY
 from .first_fall import NEVER
 from .propagation_stages import Springs, find_stage, force_at
-from .tolerances import FIRST_STEP, NEGLIGIBLE, SLOW
+from .tolerances import NEGLIGIBLE, SLOW
 
 # C. A. Kennedy and M. H. Carpenter, Appl. Numer. Math. 44 (2003) 139–181, ARK4(3)6L[2]SA
 IMPLICIT = np.array(
@@ -163,7 +163,7 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
     impulse, works, path = borrowed(impulse), borrowed(works), borrowed(path)
     rows, friction, creep = contacts.rows, contacts.friction, contacts.creep
     held_impulse, held_works = np.empty_like(impulse), np.empty_like(works)
-    h, clock, held = FIRST_STEP, 0.0, 0.0
+    h, clock, held = LITTLE, 0.0, 0.0
     for step in range(1, most + 1):
         answer_signals()
         if step <= len(path):

@@ -6,19 +6,19 @@ accelerations and forces are then of order one.
 
 from __future__ import annotations
 
+from ..._numeric.tolerances import COMPUTED, NOISE
+
 # ---- one contact
 
-CLEAR = 1e-12
-"""det W over (tr W)³ above which W is regular: det W ≤ λ_min (tr W)²/4."""
-
 WELL_CONDITIONED = 1e-6
-"""The same, above which what is small in W has nine digits or more without a factor."""
+"""det W over (tr W)³ above which what is small in W has nine digits or more without a factor; W is regular
+above `ROUNDING`: det W ≤ λ_min (tr W)²/4."""
 
 ROOT = 1e-9
 """Part of a root by which another number differs from it and is it: at an extremum of v₃ the square of that
 counts, and Newton's method leaves its square."""
 
-HALLEY = 2e-6
+HALLEY = 2.0 * ROOT ** (2.0 / 3.0)
 """The same for Halley's method, which leaves its cube."""
 
 CLOSE_TO_JUMP = 1e-2
@@ -30,20 +30,20 @@ NEAR_THRESHOLD = 1e-6
 ROOM = 1.0 + 1e-9
 """How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
 
-COINCIDENT = 1e-11
+COINCIDENT = COMPUTED
 """Distance of two events, over all of P₃, and of μ from the stick threshold, over μ, up to which rounding
 decides what derivatives hold."""
 
 FLAT = 1e-7
 """Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
 
-TAIL = 1e-13
+TAIL = NOISE
 """Angle, or part of the path times angle, by which slip still turns where its derivatives are those of
 straight slip."""
 
 # ---- many contacts, from event to event
 
-NEGLIGIBLE = 1e-11
+NEGLIGIBLE = COMPUTED
 """Part by which forces, accelerations, pivots, tangential velocities and times of events may differ and
 be one: they are sums of terms of order one, or come from velocities and W of a robot with their
 rounding. Shorter steps are not taken."""
@@ -54,10 +54,7 @@ SLOW = 1e-10
 STOPS = 1e-7
 """A slip below this speed that runs straight at zero is taken there in one step, of second order."""
 
-SEEN = 1e-3
-"""Part of the accuracy of velocities that impulses have where velocities do not feel them."""
-
-SLIP_SPEED = 1e-13
+SLIP_SPEED = NOISE
 """The speed at which a slip begins, in parts of the largest velocity: a perturbation of rounding's size."""
 
 AHEAD = 1e-6
@@ -74,27 +71,14 @@ that begins has to reach: its accelerations are off by as much."""
 WEAK = 1e-9
 """Part of the largest bound below which friction does not matter."""
 
-FAR_FROM_BOUNDS = 1e-3
-"""Part of the bounds that friction of redundant contacts keeps from them; nearer its end is not followed."""
-
 BEGINS = 1e-4
 """Part of what its terms come to below which an acceleration or a force is only growing from zero."""
 
-NOISE = 1e-13
-"""Part of the largest coefficient of a guard below which one is rounding."""
-
-OPTIMAL = 1e-22
-"""Gap of the convex programs of friction, of order one, whose solution is then right to some 1e-11: they go
-on to the last step that double precision allows."""
+OPTIMAL = COMPUTED**2
+"""Gap of the convex programs of friction, of order one, whose solution is then right to its root: they go on
+to the last step that double precision allows."""
 
 # ---- many contacts, by steps and all at once
-
-FIRST_STEP = 1e-3
-"""Of the clock."""
-
-FITS = 1e-3
-"""What Newton's method may miss velocities by in a stage, in parts of the creep: little beside what a step
-misses."""
 
 FOUND = 1e-8
 """What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
@@ -103,11 +87,8 @@ MISSED = 1e-6
 """Part of velocities, impulses and works that may be missed or gained, before waves count as lost; and of the
 largest velocity that an approach may keep after a plastic impact, where forces are large."""
 
-COARSEST, STEP_ACCURACY, FINEST = 1e-7, 1e-10, 2e-13
-"""Part of the largest velocity that a step may miss at the most, at first, and at least."""
+AGREE = 0.1 * MISSED
+"""Part of the largest velocity to which two passes agree at the end, and that a step may miss at the most."""
 
-AGREE, USEFUL = 1e-7, 1e-3
-"""Part of the largest velocity to which two passes agree at the end; beyond it they say nothing."""
-
-FIRST_RESTITUTION = 1e-3
-"""The first of those that are halved to extrapolate to e = 0 in steps."""
+STEP_ACCURACY, FINEST = 1e-10, 2.0 * NOISE
+"""The same that a step may miss at first, and at least."""

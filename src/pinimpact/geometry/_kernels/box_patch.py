@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
-from ..tolerances import COINCIDE, FACE, PARALLEL, TIE
+from ..tolerances import COINCIDE, FACE, TIE
 
 MOST = 8
 """Corners of a patch: a face clipped by another."""
@@ -55,7 +55,7 @@ def separate(a, half_a, b, half_b):
             n2 = a[3 * i + 2] * b[3 * j] - a[3 * i] * b[3 * j + 2]
             n3 = a[3 * i] * b[3 * j + 1] - a[3 * i + 1] * b[3 * j]
             length = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
-            if length <= PARALLEL:
+            if length <= COINCIDE:
                 continue
             n1, n2, n3 = n1 / length, n2 / length, n3 / length
         height = n1 * d1 + n2 * d2 + n3 * d3

@@ -11,8 +11,9 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
+from ..._numeric.tolerances import LITTLE
 from .contact_forces import FREE, HELD, SLIP
-from .tolerances import CHEAP, DIFFERENT, HARDLY_DIFFERENT
+from .tolerances import DIFFERENT, NEGLIGIBLE
 from .workspace import SceneWorkspace
 
 NORMAL, ALL = np.arange(2)  # as variables, for literals would be compiled one by one
@@ -145,7 +146,7 @@ def stop_along(rows, velocity, minverse, v):
                 scaled[a, j] += rows[a, k] * lower[k, j]
     change, finer, no_basis = np.empty(n), np.empty(n), np.empty((0, n))
     least_norm(scaled, velocity, DIFFERENT, change, no_basis)
-    least_norm(scaled, velocity, HARDLY_DIFFERENT, finer, no_basis)
+    least_norm(scaled, velocity, NEGLIGIBLE, finer, no_basis)
     w = np.empty(n)
     size = more = 0.0
     for i in range(n):  # w = L⁻¹ v
@@ -154,7 +155,7 @@ def stop_along(rows, velocity, minverse, v):
             total -= lower[i, j] * w[j]
         w[i] = total / lower[i, i]
         size, more = size + w[i] ** 2, more + (finer[i] - change[i]) ** 2
-    if more <= CHEAP**2 * size:
+    if more <= LITTLE**2 * size:
         assign(change, finer)
     energy = 0.0
     for j in range(n):

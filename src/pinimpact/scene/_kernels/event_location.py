@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from ..._compile.jit import inlined
+from ..._numeric.tolerances import EPS, LITTLE
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 from .slip import set_directions_within
-from .tolerances import LOCATED, NEIGHBOURS
 
 PARTS = 8
 """Parts of a step at which a function without a bound is sampled."""
@@ -64,12 +64,12 @@ def search_for_touch(value_at):
             guess = t - found / slope
             if not low < guess < high:
                 guess = low + 0.5 * (high - low)
-            if guess in (low, high) or abs(guess - t) <= NEIGHBOURS * abs(t):
+            if guess in (low, high) or abs(guess - t) <= EPS * abs(t):
                 break
             t = guess
             found, slope = value_at(work, i, t)
             found -= base
-            if abs(found) <= LOCATED * work.gap_floor:
+            if abs(found) <= LITTLE * work.gap_floor:
                 break
             if found > 0.0:
                 low = t
@@ -126,7 +126,7 @@ def search_for_closing(value):
             if falling and gap > 0.0 and later_gap[depth] < 0.0:
                 return root(work, i, base, time, later[depth], later_gap[depth], later_rate[depth])
             middle = time + 0.5 * width
-            shortest = 2.0 * NEIGHBOURS * abs(later[depth])
+            shortest = 2.0 * EPS * abs(later[depth])
             if not time < middle < later[depth] or width <= shortest or depth + 1 == len(later):
                 if later_gap[depth] < -floor:
                     return later[depth]

@@ -15,13 +15,13 @@ import numpy as np
 from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import assign
+from ..._numeric.tolerances import EPS
 from ...geometry._kernels.constants import RIM
 from ...robot._kernels import contact_motion
 from .dense_output import set_state_within
 from .dynamics import compute_kinematics
 from .event_location import search_for_touch
 from .gap_bounds import curvatures, rim_clear, rim_gap
-from .tolerances import NEIGHBOURS
 from .workspace import SceneWorkspace
 
 DEPTH = 80
@@ -83,7 +83,7 @@ def first_touch_of_rim(work, i, end, gap):
             if start_gap > 0.0 and later_gap < 0.0 and rate + (bend + turning) * width < 0.0:
                 return root(work, i, base, time, later[depth], later_gap, later_rate)
             middle = time + 0.5 * width
-            if time < middle < later[depth] and width > 2.0 * NEIGHBOURS * later[depth] and depth + 1 < DEPTH:
+            if time < middle < later[depth] and width > 2.0 * EPS * later[depth] and depth + 1 < DEPTH:
                 depth += 1
                 later[depth] = middle
                 rim_at(work, i, middle, base, rows[depth])

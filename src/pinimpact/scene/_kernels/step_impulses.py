@@ -15,12 +15,13 @@ from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
+from ..._numeric.tolerances import LITTLE, STALLED
 
-USABLE = 1e-5
+USABLE = STALLED
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
 less than steps of any useful length do."""
 
-TOLERABLE = 1e-3
+TOLERABLE = LITTLE
 """The same, before it is solved in the impulses, which takes a thousand times as long for many contacts."""
 
 ATTEMPTS = 3

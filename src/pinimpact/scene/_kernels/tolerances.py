@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from ..._numeric.tolerances import COMPUTED, LITTLE, NOISE
 from ..._numeric.tolerances import ROUNDING as ROUNDING
 
-NEIGHBOURS = 2e-16
-"""Relative difference of two times that are neighbours in floating point."""
+# ---- defaults of options
+
+RTOL, ATOL = 1e-8, 1e-10
+"""Tolerances of steps, relative and absolute."""
+
+DT = 1e-3
+"""Length of time steps [s]."""
 
 # ---- accelerations and forces of what is closed
 
@@ -13,43 +19,38 @@ NEGLIGIBLE = 1e-9
 """Part of what makes up an acceleration, or an inverse inertia, below which it is none, where forces may be
 shared in several ways: their error is larger than rounding by the condition of the shares."""
 
-ROUNDED = 1e-11
+ROUNDED = COMPUTED
 """The same where forces are unique. (11.10)"""
 
-LEAST_SIZE = 1e-3 * 9.80665
+LEAST_SIZE = LITTLE * 9.80665
 """What makes up an acceleration counts as this at the least [m/s²]: a thousandth of gravity."""
 
 WEIGHTLESS = 1e-10
 """Part of the robot's weight below which a force is none."""
 
-AT_BOUND = 1e-9
+AT_BOUND = NEGLIGIBLE
 """Part of a bound within which what is limited is at it: efforts of drives, friction that holds."""
 
 SINGULAR_STILL = 1e-7
 """Part of the largest pivot below which one is zero where pivots have been below `RANK`, lest a motion along
 the edge goes to and fro."""
 
-FINEST = 1e-13
+FINEST = NOISE
 """The same where that misses accelerations by more than `NEGLIGIBLE`: a leg of 1 kg, stretched but for
 10⁻⁵ rad, bears a load, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
 
-DOUBTFUL = 1e-8
+DOUBTFUL = RTOL
 """Part of the largest force by which others may miss their bounds for the error of a step alone."""
 
 # ---- velocities
 
-STILL = 1e-3
+STILL = LITTLE
 """Part of the speed of sticking below which a speed is none: slip has no direction of its own, does not
 reverse, and what modes stop of it changes nothing."""
 
 DIFFERENT = 1e-5
-"""Part of the largest by which rows of velocities differ at least from each other, else they are the same."""
-
-HARDLY_DIFFERENT = 1e-9
-"""The same where what the difference asks for is small, see `CHEAP`."""
-
-CHEAP = 1e-3
-"""Part of all velocities that the difference of rows that hardly differ may cost."""
+"""Part of the largest by which rows of velocities differ at least from each other, else they are the same;
+where what the difference asks for is little, it is `NEGLIGIBLE`."""
 
 RESTING = 1e-4
 """The default resting speed, in parts of √(g L): such a bounce rises 5·10⁻⁹ of the robot's size L."""
@@ -71,7 +72,7 @@ LEAST_NUDGE = 0.1 * NUDGE
 
 # ---- steps and their events
 
-PROGRESS = 1e-3
+PROGRESS = LITTLE
 """Part of the scene's time scale, or of velocities, that a number of steps has to change."""
 
 STALLED = 1e-8
@@ -79,9 +80,6 @@ STALLED = 1e-8
 
 LEAST_AHEAD = 1e-9
 """How far to look ahead for modes that begin without a jump at the least, in parts of a step."""
-
-LOCATED = 1e-3
-"""Part of the rounding of gaps to which the time of a touch lets a gap vanish."""
 
 ITERATED = 1e-2
 """Part of the tolerance of a step to which its implicit equations are solved."""
@@ -108,11 +106,6 @@ what closes from overlapping by as much; its end takes it away."""
 TURN = 1e-2
 """Angle [rad] below which functions of it are series, whose next terms are below rounding."""
 
-# ---- convex shapes, in parts of their size
-
-SHORT_WHILE = 1e-3
-"""Part of the intervals between samples of a step over which second rates are taken."""
-
 # ---- starts
 
 START_ROUNDING = 2e-9
@@ -127,14 +120,3 @@ HELD_GAP = 1e-3
 REMAINS = 1e-4
 """Part of the changes of velocities that vanish that an event may leave of them, and by which accelerations
 may differ at one that does not change them."""
-
-REPRODUCED = 1e-6
-"""Part of the change of velocity to which an impact is computed again for its derivatives."""
-
-# ---- defaults of options
-
-RTOL, ATOL = 1e-8, 1e-10
-"""Tolerances of steps, relative and absolute."""
-
-DT = 1e-3
-"""Length of time steps [s]."""

@@ -18,7 +18,7 @@ from ..._compile.jit import external, inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, repeated
-from ..._numeric.tolerances import SOLVED
+from ..._numeric.tolerances import NOISE
 from .contact_forces import SLIP, STICK, rubs
 from .tolerances import NEGLIGIBLE
 from .workspace import SceneWorkspace
@@ -59,7 +59,7 @@ def widest_margin(work, found):
     P, c = np.zeros((n, n)), np.zeros(n)
     c[free] = -1.0
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
-    cone_program(P, c, G, h, lines, sizes, SOLVED, y, s, z)
+    cone_program(P, c, G, h, lines, sizes, NOISE, y, s, z)
     if y[free] > 0.0:
         for a in range(size):
             found[a] = x[a]
@@ -123,7 +123,7 @@ def least_admissible(work, x):
     fill_bounds(work, x, null, free, unit, 0.0, G, h, 0, lines)
     P, c = np.eye(free), np.zeros(free)  # x is at right angles to the null space
     y, s, z = np.zeros(free), np.empty(rows), np.empty(rows)
-    cone_program(P, c, G, h, lines, repeated(cones, CONE), SOLVED, y, s, z)
+    cone_program(P, c, G, h, lines, repeated(cones, CONE), NOISE, y, s, z)
     for j in range(free):
         for a in range(size):
             x[a] += unit * y[j] * null[j, a]
