@@ -146,6 +146,20 @@ def test_friction_is_not_determined_where_all_impacts_stick() -> None:
     assert "all impacts end sticking" in repr(fit)
 
 
+def test_a_fit_does_not_stay_where_all_impacts_stick() -> None:
+    # of few impacts of which most stick, the best of the first points may have too much friction
+    rng = np.random.default_rng(1)
+    arms = rng.normal(size=(400, 3, 3))
+    W, before = np.eye(3) + arms @ arms.transpose(0, 2, 1), rng.normal(size=(400, 3)) - [0, 0, 3]
+    for seed in (1, 4, 17, 69, 97):
+        rng = np.random.default_rng(seed)
+        mu, e = rng.uniform(0.0, 0.6), rng.uniform(0.0, 1.0)
+        some = rng.permutation(400)[:2]
+        after = solve_impacts(W[some], before[some], mu, e).velocity
+        fit = studies.identify((W[some], before[some], after))
+        assert fit.x == pytest.approx([mu, e], abs=1e-5)
+
+
 def test_restitution_is_not_determined_by_grazes() -> None:
     rng = np.random.default_rng(8)
     W, before = random_bodies(30, rng)

@@ -20,6 +20,9 @@ from ..errors import InputError
 STARTS = 16
 """Points of a Halton sequence in the bounds, of which the one with the least cost is the start."""
 
+BETTER = 1e-3
+"""Part by which the cost is to be less elsewhere for a fit to begin again there."""
+
 ROBUST_SCALE = 3.0
 """Standard deviations beyond which residuals have less weight; normal ones keep .99 of their information."""
 
@@ -143,7 +146,13 @@ def fit(
             gtol=None,  # it would have the unit of the residuals
         )
 
-    result, scale = run(best_start(free, trial or residual), "linear", 1.0), 1.0
+    errors, scale = trial or residual, 1.0
+    result = run(best_start(free, errors), "linear", 1.0)
+    while (start := better_along_a_parameter(result.x, free, errors)) is not None:
+        other = run(start, "linear", 1.0)
+        if other.cost >= result.cost:
+            break
+        result = other
     if loss != "linear":
         scale = robust_scale(residual(result.x))
         # without scale, more than half of the residuals are zero, and there is nothing to bound
@@ -157,6 +166,22 @@ def best_start(free: Mapping[str, tuple[float, float]], residual: Callable[[Arra
     low, high = np.array(list(free.values())).T
     starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
     return min(starts, key=lambda x: float(np.abs(residual(x)).sum()))
+
+
+def better_along_a_parameter(
+    x: Array, free: Mapping[str, tuple[float, float]], residual: Callable[[Array], Array]
+) -> Array | None:
+    """Return the best of points that differ from x in one parameter; None if that is no better than x.
+
+    Where a parameter has no effect, such as more friction where all impacts stick, a fit stays at its start.
+    """
+    others = np.repeat(x[None], STARTS * len(x), axis=0)
+    parts = (np.arange(STARTS) + 0.5) / STARTS
+    for j, (low, high) in enumerate(free.values()):
+        others[j * STARTS : (j + 1) * STARTS, j] = low + parts * (high - low)
+    costs = [float((residual(other) ** 2).sum()) for other in (x, *others)]
+    best = int(np.argmin(costs))
+    return others[best - 1] if costs[best] < (1.0 - BETTER) * costs[0] else None
 
 
 def robust_scale(residuals: Array) -> float:
