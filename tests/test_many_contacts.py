@@ -871,3 +871,35 @@ def test_the_noted_accuracy_of_steps_counts_what_the_cones_take_away():
     noted = float(str(caught[0].message).split("about ")[1].split()[0])
     approach = -solution.velocity[:, 2].min()
     assert 1e-5 < approach <= 1.05 * noted * np.abs(jacobian @ u).max()  # two digits are noted
+
+
+def rocking_foot(seed):
+    """W, velocities, and a motion of no body, of three corners of a foot and a stop of the joint above it."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((12, 7))
+    for i, (x, y, z) in enumerate([(0.1, 0.05, -0.1), (0.1, -0.05, -0.1), (-0.1, 0.03, -0.1)]):
+        turns = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+        rows[3 * i : 3 * i + 3, :6] = np.hstack([np.eye(3), turns])
+    rows[11, 6] = 1.0
+    root = np.diag([1, 1, 1, 0.1, 0.1, 0.1, 0.1]) + rng.normal(size=(7, 7)) * 0.03
+    w = rows @ np.linalg.inv(root @ root.T) @ rows.T
+    # it turns about two of its corners onto the third
+    velocity = rows @ np.linalg.svd(np.vstack([rows[:6], rows[11]]))[2][-1]
+    velocity *= -np.sign(velocity[8]) / np.abs(velocity).max()
+    left = np.linalg.svd(rows[:9, :6])[0][:, 6:]
+    noise = np.r_[left @ (left.T @ rng.normal(size=9)), np.zeros(3)]
+    noise[2::3] = 0.0
+    return 0.5 * (w + w.T), velocity, noise
+
+
+@pytest.mark.parametrize("seed", [3, 84])
+def test_what_rounding_leaves_of_slip_that_no_impulse_changes_is_none(seed):
+    # velocities of corners are differences of larger ones, and some 1e-11 of them is of no motion of the foot
+    w, velocity, noise = rocking_foot(seed)
+    mu, e = np.array([0.4, 0.4, 0.4, 0.0]), np.array([0.9, 0.9, 0.9, 0.0])
+    known, noisy = (
+        solve_impact(ImpactProblem(w, v.reshape(4, 3), mu, e, "energetic", stiffness=np.ones(4)))
+        for v in (velocity, velocity + 1e-11 * noise)
+    )
+    assert not noisy.notes
+    assert np.abs(noisy.velocity - known.velocity).max() < 1e-9

@@ -175,6 +175,31 @@ def test_a_standing_quadruped_that_is_struck(quadruped):
     assert (hit.solution.velocity[:, 2] >= -1e-9).all()
 
 
+def test_corners_above_a_plane_move_along_it_as_one_body(quadruped):
+    # corners closed to a tolerance have gaps of their own; the points below them are in one plane, where the
+    # velocities of a body are those of three coordinates, and those of its corners but for what gaps make
+    model, q = quadruped
+    data = model.createData()
+    tilted = pin.integrate(model, q, np.r_[0.0, 0.0, 0.0, 1e-7, -2e-7, np.zeros(model.nv - 5)])
+    free = np.array([1.0] * 6 + [0.0] * (model.nv - 6))
+    args = PlacedRobot(model, data, tilted), feet(), (), free, np.zeros((0, model.nv))
+    corners, points = checked_matrices(*args), checked_matrices(*args, on_surface=True)
+    along = np.arange(12) % 3 < 2
+    sizes = [np.linalg.svd(m.jacobian[along, :6], compute_uv=False)[2:4] for m in (corners, points)]
+    assert sizes[0][1] > 1e-9 * sizes[0][0]
+    assert sizes[1][1] < 1e-15 * sizes[1][0]
+    gaps = np.array([c.gap(model, data, tilted) for c in feet()])
+    v = np.random.default_rng(0).normal(size=model.nv)
+    expected = np.zeros((4, 3))
+    for k, contact in enumerate(feet()):
+        frame = model.getFrameId(contact.frame)
+        spin = pin.computeFrameJacobian(model, data, tilted, frame, pin.LOCAL_WORLD_ALIGNED)[3:] @ v
+        expected[k] = np.cross(spin, [0.0, 0.0, -gaps[k]])
+    change = points.velocity(v) - corners.velocity(v)
+    world = np.einsum("kij,ki->kj", points.axes, change)
+    assert np.abs(world - expected).max() < 1e-15
+
+
 @pytest.mark.parametrize("friction", [0.1, 0.6, 1.0])
 @pytest.mark.parametrize("e", [0.0, 0.2, 0.8])
 def test_a_rigid_body_on_four_feet(quadruped, friction, e):

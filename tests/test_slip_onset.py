@@ -9,7 +9,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import erf
 
-from pinimpact import Contact, Plane, Scene
+from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.scene import progress
 from pinimpact.scene._kernels import radau, step_radau
 
@@ -148,6 +148,23 @@ def test_slip_that_turns_on_a_robot_with_a_joint_that_settles_fast():
 
 
 @pytest.mark.slow
+def test_what_settles_after_a_bounce_is_not_approached_by_many_refused_steps():
+    # the velocity of the arm jumps and settles within 1e-10 s; steps of 1e-2 s before the bounce are tried
+    model = pin.Model()
+    slider = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slider")
+    model.appendBodyToJoint(slider, pin.Inertia(1.0, np.zeros(3), np.eye(3) * 1e-3), pin.SE3.Identity())
+    arm = model.addJoint(slider, pin.JointModelRY(), pin.SE3.Identity(), "arm")
+    lever = pin.Inertia(1e-3, np.array([0.01, 0.0, 0.0]), np.eye(3) * 1e-9)
+    model.appendBodyToJoint(arm, lever, pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", slider, slider, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    model.damping[:] = 0.0, 1e3
+    scene = Scene(model, [Contact("tip", Plane(), restitution=0.8)])
+    trajectory = simulate(scene, np.array([0.5, 0.3]), np.zeros(2), 2.0, rtol=1e-6)
+    assert len(trajectory.impacts) >= 5
+    assert trajectory.statistics["rejected"] <= 3 * len(trajectory.impacts)
+    assert abs(trajectory.energy.residual[-1]) < 1e-6
+
+
 def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(monkeypatch):
     """A mass pulls another one along, by an arm that turns and slides in it; both begin to slip."""
     model, parent = pin.Model(), 0

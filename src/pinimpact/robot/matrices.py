@@ -188,6 +188,7 @@ def checked_matrices(
     anchors: tuple[ContactGeometry, ...],
     mobility: Array,
     stops: Array,
+    on_surface: bool = False,
 ) -> ManyMatrices:
     """Return the matrices of n contacts and of joint stops, for checked arguments.
 
@@ -197,12 +198,13 @@ def checked_matrices(
         anchors: Geometry of each held contact.
         mobility: (nv,) of the velocities, see `mobilities`.
         stops: (m, nv) rows of joint stops, which are like contacts without tangential directions.
+        on_surface: Whether contact points are those of the surfaces, see `contact_kinematics.jacobian`.
     """
     mass = placed.mass_matrix()
     k, n = len(contacts), len(contacts) + len(stops)
     jacobian, geometry = np.zeros((3 * n, len(mobility))), np.zeros((n, 12))
     for i, contact in enumerate(contacts):
-        geometry[i] = placed.fill_jacobian(contact, jacobian[3 * i : 3 * i + 3])
+        geometry[i] = placed.fill_jacobian(contact, jacobian[3 * i : 3 * i + 3], on_surface)
     jacobian[3 * k + 2 :: 3] = stops
     delassus, response, held_response, _, _ = _responses(placed, mass, jacobian, anchors, mobility)
     axes = geometry[:k, :9].reshape(k, 3, 3)

@@ -109,10 +109,13 @@ class PlacedRobot:
         gap, *rest = contact_kinematics.locate(*self.placements(contact), contact.constants)
         return gap, np.array(rest[:3]), np.array(rest[3:])
 
-    def fill_jacobian(self, contact: Any, rows: Array) -> Array:
-        """Fill a contact's Jacobian (3, nv); return its axes (9) and the surface's velocity (3) in them."""
+    def fill_jacobian(self, contact: Any, rows: Array, on_surface: bool = False) -> Array:
+        """Fill a contact's Jacobian (3, nv); return its axes (9) and the surface's velocity (3) in them.
+
+        `on_surface` takes the point of the surface below the tip, see `contact_kinematics.jacobian`.
+        """
         numbers = contact_kinematics.jacobian(
-            *self.placements(contact), *self.columns(contact), contact.constants, rows
+            *self.placements(contact), *self.columns(contact), contact.constants, on_surface, rows
         )
         return np.array(numbers)
 

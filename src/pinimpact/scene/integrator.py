@@ -68,6 +68,11 @@ def _continued(
     return integrator
 
 
+UNCHANGED = 0.1
+"""Part of the error of a longer step above which it has not fallen with the length; by the order of the
+methods it falls to less in a step of half that length."""
+
+
 class Integrator:
     """A motion under way.
 
@@ -309,7 +314,7 @@ class Integrator:
         """
         state, work, t = self.state, self.work, self.state.t
         ends = BEYOND * work.slip_ends if self._continuous is None else math.inf  # refusals tell of its jumps
-        natural, h = h, min(h, self.max_step, state.bounce, ends)
+        natural, h, before = h, min(h, self.max_step, state.bounce, ends), math.inf
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
@@ -331,6 +336,10 @@ class Integrator:
                     state.low_orders_from = (*higher, later, later)[:2]
                 else:
                     natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                    # what settles within the step misses as much in one a little shorter
+                    if error > UNCHANGED * before:
+                        natural = h = min(h, self._resolved())
+                    before = error
                 continue
             if not self.instant.rims.jump(work.q0, work.q1):
                 slips = state.closed is not None and state.closed.slips
@@ -340,6 +349,12 @@ class Integrator:
                     return trial, natural, directions
             state.rejected += 1
             h = 0.5 * trial
+
+    def _resolved(self) -> float:
+        """Return the longest step that resolves what settles fast, which implicit steps need not."""
+        work = self.work
+        rate = max(work.slip_stiffness / step_radau.STIFF, work.drive_rate / stiff_drives.STIFF)
+        return 1.0 / rate if rate > 0.0 else math.inf
 
     def _method(self, h: float) -> ModuleType:
         """Return the method for a step of a length [s]."""

@@ -435,7 +435,7 @@ def matrices_of_all(
     stops = np.zeros((len(limits), len(mobility)))
     for row, limit in zip(stops, limits, strict=True):
         row[limit.index_v] = limit.sign
-    return checked_matrices(placed, contacts, tuple(map(placed.geometry, held)), mobility, stops)
+    return checked_matrices(placed, contacts, tuple(map(placed.geometry, held)), mobility, stops, True)
 
 
 def _stiffness(struck: Sequence[Contact | None], delassus: Array) -> Array:

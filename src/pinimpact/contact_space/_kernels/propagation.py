@@ -15,6 +15,7 @@ from ..._numeric.tolerances import ROUNDING, TINY
 from .propagation_course import follow
 from .propagation_series import ORDER, new_series
 from .propagation_state import System, new_state
+from .tolerances import NEGLIGIBLE, SLOW
 
 
 @declared(
@@ -71,6 +72,7 @@ def propagate(
     for j in range(n):
         numbers[0, j], numbers[1, j] = friction[order[j]], restitution[order[j]]
         numbers[2, j] = stiffness[order[j]] / most * unit
+    _make_consistent(own_w, before)
     u = before.copy()
     system = _system_of(own_w, numbers[0], numbers[1], numbers[2], exponent)
     stopped = follow(
@@ -121,6 +123,54 @@ def _of_their_own(w, v, friction, restitution, stiffness):
             place -= 1
         order[place] = j
     return order
+
+
+@inlined
+def _make_consistent(w, v):
+    """Let tangential velocities that follow from others by W do so to rounding, where they nearly do.
+
+    Those of contacts are differences of larger terms. Where contacts are redundant no impulse changes what
+    rounding leaves of that, and slip that should stop would continue with it. A Cholesky factorisation with
+    complete pivoting, W = L Lᵀ, finds which velocities are dependent: v₂ = L₂₁ L₁₁⁻¹ v₁.
+
+    Args:
+        w: (m, m) W.
+        v: (m,) velocities, changed where they are dependent to `SLOW`.
+    """
+    m = len(v)
+    order, left = np.arange(m), np.empty(m)
+    lower, y = np.zeros((m, m)), np.empty(m)
+    largest = 0.0
+    for i in range(m):
+        left[i] = w[i, i]
+        largest = max(largest, left[i])
+    for k in range(m):
+        place = k
+        for i in range(k + 1, m):
+            if left[order[i]] > left[order[place]]:
+                place = i
+        order[k], order[place] = order[place], order[k]
+        pivot = order[k]
+        if left[pivot] <= NEGLIGIBLE * largest:
+            for i in range(k, m):
+                made, row = 0.0, order[i]
+                for b in range(k):
+                    made += lower[row, b] * y[b]
+                if row % 3 != 2 and w[row, row] > 0.0 and abs(made - v[row]) <= SLOW:
+                    v[row] = made
+            return
+        root = math.sqrt(left[pivot])
+        y[k] = v[pivot]
+        for b in range(k):
+            y[k] -= lower[pivot, b] * y[b]
+        y[k] /= root
+        for i in range(k + 1, m):
+            row = order[i]
+            total = w[row, pivot]
+            for b in range(k):
+                total -= lower[row, b] * lower[pivot, b]
+            lower[row, k] = total / root
+            left[row] -= lower[row, k] * lower[row, k]
 
 
 @inlined

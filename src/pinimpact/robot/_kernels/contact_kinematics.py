@@ -249,14 +249,16 @@ def locate(frame, carrier, constants):
 
 
 @inlined
-def contact_rows(R, S, columns, signs, constants, out):
+def contact_rows(R, S, columns, signs, constants, on_surface, out):
     """Fill the contact Jacobian J, as `jacobian` does, for placements of the frame and of the carrier.
 
     Returns:
         t₁, t₂, n (9), the velocity of the surface relative to its carrier (3), in contact axes, and the point
             (3).
     """
-    _, n1, n2, n3, p1, p2, p3 = at_contact(R, S, constants)
+    gap, n1, n2, n3, p1, p2, p3 = at_contact(R, S, constants)
+    if on_surface:
+        p1, p2, p3 = p1 - gap * n1, p2 - gap * n2, p3 - gap * n3
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
     fill_jacobian(columns, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
     o1, o2, o3 = place(S, constants, POINT)
@@ -270,9 +272,9 @@ def contact_rows(R, S, columns, signs, constants, out):
     )
 
 
-@declared(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, FLOAT_ROWS)
+@declared(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, bool, FLOAT_ROWS)
 @jit
-def jacobian(frame, carrier, columns, signs, constants, out):
+def jacobian(frame, carrier, columns, signs, constants, on_surface, out):
     """Fill the contact Jacobian J.
 
     Args:
@@ -281,10 +283,12 @@ def jacobian(frame, carrier, columns, signs, constants, out):
         columns: (6, nv) as in `fill_jacobian`.
         signs: (nv,) as in `fill_jacobian`.
         constants: Constants of the contact, in these frames' axes.
+        on_surface: Whether the point is the one of the surface below the tip, at the end of the gap: then
+            points of a body above one plane have tangential velocities of rank three, whatever their gaps.
         out: (3, nv) takes J.
 
     Returns:
         t₁, t₂, n (9) in world axes, and the velocity of the surface relative to its carrier (3), in contact
             axes.
     """
-    return contact_rows(pose(frame), pose(carrier), columns, signs, constants, out)[:12]
+    return contact_rows(pose(frame), pose(carrier), columns, signs, constants, on_surface, out)[:12]

@@ -66,7 +66,7 @@ def meet(frame, carrier, columns, signs, constants, v, lower, parents, y, singul
         What `contact_rows` does, the upper triangle of W (6), the contact's velocity (3), the size of the
             terms that it is the sum of, and how many numbers of the factor count.
     """
-    geometry = contact_rows(frame, carrier, columns, signs, constants, y)
+    geometry = contact_rows(frame, carrier, columns, signs, constants, False, y)
     s1, s2, s3 = geometry[9], geometry[10], geometry[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
     scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
