@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from ..geometry.collision_shapes import extreme_points
 from ..robot.joint_limits import bounds
@@ -38,7 +39,7 @@ TILTS = (1.0, 0.5, 0.2, 0.0)
 SLOPE, APART = 0.6, 0.05
 """Tilts at which a foot has another lowest point, and the smallest distance of two such relative to the
 size."""
-FLAT = 1e-3
+FLAT = LITTLE
 """Points this close to the lowest one belong to the same edge or face, relative to the robot's size; other
 contacts are further away."""
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .._numeric.tolerances import ROUNDING, ROUNDOFF
 from ..errors import PinimpactError
+from ._kernels.tolerances import MISSED
 from .derivatives import Boundary
 from .inputs import Array
 from .many_inputs import ManyInputs
@@ -23,7 +24,7 @@ FIRST, FINER, LEVELS = 4e-3, 0.25, 9
 """The first step of differences, in parts of what makes a change as large as the data; how much shorter each
 one is than the last; how many are tried."""
 
-AGREED = 1e-6
+AGREED = MISSED
 """Part of a derivative by which those by two steps may differ, and those to either side: beyond it there is
 none. The error of the second is 4⁻⁶ of that, or a third where the slope of P has a kink, and rounding's."""
 

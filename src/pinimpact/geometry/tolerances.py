@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .._numeric.tolerances import EPS, NOISE, ROUNDING
+from .._numeric.tolerances import EPS, LITTLE, NOISE, ROUNDING
 
 COAL_ERROR = 1e-10
 """Largest error of coal's distance, which makes boxes larger."""
@@ -15,7 +15,7 @@ CLOSE = 1e-6
 far below the motion of a step: shapes move by it before it is seen what touches after a point has left, and
 overlap by less, but for a fault."""
 
-LOCAL = 1e-5
+LOCAL = 10.0 * CLOSE
 """Distance of a corner behind the extreme one up to which it may belong to the closest feature."""
 
 COINCIDE = 1e-9
@@ -29,8 +29,8 @@ TIE = NOISE
 NEAREST = 4.0 * ROUNDING
 """Tolerance for equally close points, and for features that touch together."""
 
-FACE = 1.0 - 1e-6
-"""Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4e-3 rad,
+FACE = 1.0 - LITTLE**2
+"""Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4 mrad,
 wide enough for normals that GJK finds, and far below the angle between two faces."""
 
 FACING = 0.9
@@ -39,7 +39,7 @@ FACING = 0.9
 SAME_DIRECTION = 1.0 - 4.0 * EPS
 """Cosine of the angle between edges above which they are parallel: rounding."""
 
-NOT_CONVEX = 1e-3
+NOT_CONVEX = LITTLE
 """Depth of a vertex of a mesh inside its hull from which on the mesh is not convex."""
 
 FAR = 0.1

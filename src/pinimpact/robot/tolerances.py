@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-AGREEMENT = 1e-6
+from .._numeric.tolerances import HALF_DIGITS
+from ..contact_space._kernels.tolerances import MISSED
+
+AGREEMENT = HALF_DIGITS
 """Relative difference up to which results agree. Another layout differs by as much as the numbers themselves;
 rounding is far below, since the links of the check have well-conditioned inertias."""
 
-HELD_TOLERANCE = 1e-6
+HELD_TOLERANCE = MISSED
 """Tolerance of the velocity of a held point: before an impact relative to the sum of the joints'
 contributions, at the start of a motion to 1 m/s and the largest velocity."""
 

@@ -16,6 +16,7 @@ from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array
 from ..checks import choice, finite_array, in_short, real_numbers
 from ..errors import InputError
+from ..scene._kernels.tolerances import RTOL
 
 STARTS = 16
 """Points of a Halton sequence in the bounds, of which the one with the least cost is the start."""
@@ -113,7 +114,7 @@ def fit(
     loss: str,
     reason: Callable[[str, Array], str],
     trial: Callable[[Array], Array] | None = None,
-    tolerance: float = 1e-8,
+    tolerance: float = RTOL,
     **known: Any,
 ) -> Identified:
     """Fit parameters, and return them with their covariance by groups. (I2)–(I5)

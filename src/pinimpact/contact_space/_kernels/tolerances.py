@@ -6,7 +6,7 @@ accelerations and forces are then of order one.
 
 from __future__ import annotations
 
-from ..._numeric.tolerances import COMPUTED, NOISE
+from ..._numeric.tolerances import COMPUTED, LITTLE, NOISE
 
 # ---- one contact
 
@@ -60,7 +60,7 @@ SLIP_SPEED = NOISE
 AHEAD = 1e-6
 """How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
 
-UNTURNED = 1e-3
+UNTURNED = LITTLE
 """How far ahead that is at most, in the unit of the clock in which slow slip turns slowly."""
 
 SAME = AHEAD
@@ -90,5 +90,5 @@ largest velocity that an approach may keep after a plastic impact, where forces 
 AGREE = 0.1 * MISSED
 """Part of the largest velocity to which two passes agree at the end, and that a step may miss at the most."""
 
-STEP_ACCURACY, FINEST = 1e-10, 2.0 * NOISE
+STEP_ACCURACY, FINEST = SLOW, 2.0 * NOISE
 """The same that a step may miss at first, and at least."""

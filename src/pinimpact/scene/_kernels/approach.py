@@ -27,7 +27,6 @@ def fastest_approach(work, q, v, starting, where, slow):
     gap is known better, such as those of the far corners of a box that turns about an edge onto its face.
 
     Args:
-        work: The workspace.
         q: (nq,) configuration.
         v: (nv,) velocity.
         starting: Whether the motion starts now, so that what touches has just closed its gap.

@@ -39,7 +39,6 @@ def correct_constraint_drift(work, t, q, v):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
 
     Args:
-        work: The workspace.
         t: Time [s].
         q: (nq,) the configuration, which is changed.
         v: (nv,) the velocity, which is changed.

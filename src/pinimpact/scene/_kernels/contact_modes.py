@@ -213,7 +213,6 @@ def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chos
     A force at its bound holds what it does not let move; else the row starts or keeps moving.
 
     Args:
-        work: The workspace.
         what: What is `Touching`, with accelerations that include the forces.
         scalar: (nl + nv,) candidates past the contacts.
         force: (m,) forces.
@@ -245,7 +244,6 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     """Stop the rows that come to rest; see `come_to_rest`, whose values it returns.
 
     Args:
-        work: The workspace.
         what: What is `Touching`; rows of contacts that begin to slip turn to their directions.
         candidates: As in `find_modes`.
         start: (m,) velocities of the rows, which turn likewise.

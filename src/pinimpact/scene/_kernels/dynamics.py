@@ -65,7 +65,6 @@ def sphere_gap(work, k, first):
     """Return gap and gap rate of a sphere that bounds contacts, at the kinematics last computed.
 
     Args:
-        work: The workspace.
         k: Which sphere.
         first: Its first contact.
     """

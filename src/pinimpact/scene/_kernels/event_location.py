@@ -94,7 +94,6 @@ def search_for_closing(value):
         those leave room for a dip the interval is halved, so a dip within one step is found however short.
 
         Args:
-            work: The workspace.
             i: Which gap.
             end: The time up to which to look.
             gap, rate: The gap and its rate at the start of the step; a gap below zero is where all gaps of

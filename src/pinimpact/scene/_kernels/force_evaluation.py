@@ -87,7 +87,6 @@ def places_of_contacts(work, index, axes, points):
     """Fill where contacts are at the kinematics last computed, in world axes.
 
     Args:
-        work: The workspace.
         index: (k,) which contacts.
         axes: (k, 3, 3) takes t₁, t₂ and n of each, as rows.
         points: (k, 3) takes the contact points [m].

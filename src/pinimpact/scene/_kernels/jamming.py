@@ -20,7 +20,6 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     """Return whether contacts that slip drive the surface in until their forces have no bound.
 
     Args:
-        work: The workspace.
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) velocity.

@@ -39,7 +39,6 @@ def near_rows(work, q, v, h, slack, idle, rests, placed, near):
     """Fill which contacts, and limits past those, may close within a step; return how many.
 
     Args:
-        work: The workspace.
         q: (nq,) configuration at the midpoint.
         v: (nv,) velocity.
         h: Length of the step [s].
@@ -78,7 +77,6 @@ def fill_rows(work, v, rows, u, acceleration):
     """Fill the rows of a step at the state last evaluated.
 
     Args:
-        work: The workspace.
         v: (nv,) velocity.
         rows: The `StepRows`; what stands after its numbers is filled.
         u: (rows,) takes their velocities at v.
@@ -161,7 +159,6 @@ def find_arrivals(work, h, strikes, collides, rows, acceleration, free, found):
     """Fill in which contacts and limits collide if they close in the step: those that may, and close fast.
 
     Args:
-        work: The workspace.
         h: Length of the step [s].
         strikes: Whether anything is to collide.
         collides: (n + nl,) see `StepSystem`.
@@ -187,7 +184,6 @@ def contact_problem(work, h, system, rows, arrives, free):
     """Return the `VelocityProblem` of a step, and which of its contacts and scalar rows take part.
 
     Args:
-        work: The workspace.
         h: Length of the step [s].
         system: The `StepSystem`.
         rows: The `StepRows`.
@@ -265,7 +261,6 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
     """Take a step. (16.1)
 
     Args:
-        work: The workspace.
         t: Time at the midpoint [s].
         h: Length of the step [s].
         q: (nq,) configuration at the midpoint.

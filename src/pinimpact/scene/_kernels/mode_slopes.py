@@ -26,7 +26,6 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
     """Fill how contact velocities change with q, and Jᵀf at the forces that `forces_at` has left. (D19, D20)
 
     Args:
-        work: The workspace.
         parent: (joints,) the joint that each stands on; the first is the world.
         scratch: (joints, 6).
         axes: (k, 3, 3) takes the axes of the closed contacts, as rows.

@@ -9,6 +9,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
+from ..._numeric.tolerances import EPS
 from . import step_dop853
 from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP
@@ -35,7 +36,7 @@ from .slip import (
     turn_references,
 )
 from .stiff_drives import rate_of_drives
-from .tolerances import LEAST_BEFORE, LEAST_ERROR
+from .tolerances import LEAST_BEFORE
 from .workspace import SceneWorkspace
 
 
@@ -45,7 +46,6 @@ def begin(work, t, q, v):
     """Begin a smooth motion: evaluate at its start, take the gaps and the stiffness of slip.
 
     Args:
-        work: The workspace.
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) velocity.
@@ -148,7 +148,6 @@ def finish(work, t, h, error, explicit):
     it.
 
     Args:
-        work: The workspace.
         t: Its start [s].
         h: Its length [s].
         error: Its error over the tolerance.
@@ -199,7 +198,7 @@ def set_growth(work, h, error):
     The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
     after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
     """
-    error, power = max(error, LEAST_ERROR), step_dop853.POWERS[work.method]
+    error, power = max(error, EPS), step_dop853.POWERS[work.method]
     factor = min(5.0, 0.9 * error**-power)
     if work.previous_length > 0.0:
         trend = 0.9 * h / work.previous_length

@@ -48,7 +48,6 @@ def joint_motion(work, h, v, softened, found, dried, powers, coefficients):
     """Fill the dense output of q and v, and the powers, times h, of control and drives and of joints.
 
     Args:
-        work: The workspace.
         h: Length of the step [s].
         v: (nv,) velocity at the start.
         softened: (nv,) see `StepSystem`.

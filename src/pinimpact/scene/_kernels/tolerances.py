@@ -84,11 +84,8 @@ LEAST_AHEAD = 1e-9
 ITERATED = 1e-2
 """Part of the tolerance of a step to which its implicit equations are solved."""
 
-LEAST_ERROR = 1e-7
-"""An error of a step over its tolerance below which steps grow no faster."""
-
 LEAST_BEFORE = 1e-2
-"""The same of the step before, in the trend of two steps."""
+"""An error of the step before, over its tolerance, below which the next step grows no faster by the trend."""
 
 FIRST_STEP = 1e-4
 """Part of a time step that the first one of a crossing takes: what arrives without restitution is stopped in
@@ -112,7 +109,7 @@ START_ROUNDING = 2e-9
 """A start that is this far [m] below a surface or beyond a limit is one at it, but for rounding. Time
 steps may leave more, see `STEPS_SLACK`; the event-driven scheme does not start there."""
 
-HELD_GAP = 1e-3
+HELD_GAP = LITTLE
 """Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
 
 # ---- derivatives

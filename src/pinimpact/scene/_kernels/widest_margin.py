@@ -33,7 +33,6 @@ def widest_margin(work, found):
     """Return the largest margin of all forces with the same motion at the state last evaluated [N].
 
     Args:
-        work: The workspace.
         found: (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
@@ -73,7 +72,6 @@ def keep_motion(work, x, null, free):
     """Go to the forces last evaluated, and to the changes of them that do not change the motion.
 
     Args:
-        work: The workspace.
         x: (size,) takes the forces.
         null: (size, size) a basis of what the rows do not feel, in its first rows; likewise.
         free: How many these are.
@@ -162,7 +160,6 @@ def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
     """Fill the rows of G and h by which x + nullᵀy keeps to its bounds, by `margin` times a last unknown.
 
     Args:
-        work: The workspace.
         x: (size,) forces of least norm.
         null: (free, size) what they leave open.
         free: How many rows of it count.

@@ -43,7 +43,6 @@ def bound(work, i, constants, reach, out):
     """Fill the bounds of the motion over the step (4,), see `gap_bounds.curvatures`.
 
     Args:
-        work: The workspace.
         i: A contact.
         constants: Of it, or of a sphere that bounds it.
         reach: Zero, or the sphere's radius for the bounds of all tips in it [m].
