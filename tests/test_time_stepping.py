@@ -161,6 +161,69 @@ def test_what_arrives_at_the_very_end_of_a_step_bounces(gravity, apart):
     assert trajectory.v[-1, 2] == pytest.approx(0.5 * speed - gravity * 2e-3, abs=1e-7)
 
 
+def linkage(lengths):
+    """A chain of rods and a crank of 1 m at x = 2 m, closed by a held contact; "knee" ends the second rod."""
+    model, joint, place = pin.Model(), 0, 0.0
+    for k, length in enumerate((*lengths, 1.0)):
+        joint, place = (joint, place) if k < len(lengths) else (0, 2.0)
+        at = pin.SE3(np.eye(3), np.array([place, 0.0, 0.0]))
+        joint, place = model.addJoint(joint, pin.JointModelRY(), at, f"j{k}"), length
+        rod = pin.Inertia(length, np.array([length / 2, 0, 0]), length**3 / 12 * np.diag([1e-3, 1.0, 1.0]))
+        model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
+    last = len(lengths)
+    for name, k, length in (("knee", 2, lengths[1]), ("end", last, lengths[-1]), ("pin", last + 1, 1.0)):
+        at = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+        model.addFrame(pin.Frame(name, k, 0, at, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    return model, Contact("end", Plane(body="pin"), name="loop")
+
+
+@pytest.mark.parametrize("by_limit", [False, True])
+def test_a_closed_loop_stays_closed_where_overlap_is_taken_away(by_limit):
+    model, loop = linkage([1.0, 2.0])  # a parallelogram
+    along, stop = np.array([1.0, -1.0, 1.0]), np.arcsin(0.9)
+    contacts = [] if by_limit else [Contact("knee", Plane((0.0, 0.0, -0.9)))]
+    if by_limit:
+        model.upperPositionLimit[2] = stop
+    trajectory = step(Scene(model, contacts, held=[loop]), 0.4 * along, 1.5 * along, 0.6, 1e-3)
+    assert trajectory.q[-1] == pytest.approx(stop * along, abs=1e-8)
+    assert not trajectory.v[-1].any()
+
+
+@pytest.mark.parametrize("end", [0.1, 0.101])
+def test_the_derivative_of_a_closed_loop_where_overlap_is_taken_away(end):
+    """Of five bars, after the step in which the knee arrives, and where it leaves, but for rounding."""
+    model, loop = linkage([1.0, 1.3, 1.3])
+    turn = np.arccos(1.0 / 1.3)
+    q0 = np.array([0.4, turn - 0.4, -2.0 * turn, 0.4])
+    rows = pinimpact.contact_matrices(model, model.createData(), q0, loop).jacobian
+    along, v0 = np.array([[0.3, 0.7, -0.5, 0.4], [1.5, -1.0, 0.5, 1.0]]) @ (
+        np.eye(4) - np.linalg.pinv(rows, rcond=1e-9) @ rows
+    )
+    scene = Scene(model, [Contact("knee", Plane((0.0, 0.0, -1.35)))], held=[loop])
+    run = simulate(scene, q0, v0, end, scheme="time-stepping", sensitivities=("state",))
+    (first, second) = (step(scene, q0, v0 + h * along, end, 1e-3) for h in (1e-5, -1e-5))
+    slope = np.append(first.q[-1] - second.q[-1], first.v[-1] - second.v[-1]) / 2e-5
+    found = run.sensitivity(end).state[:, 4:] @ along
+    assert found[:4] == pytest.approx(slope[:4], abs=1e-9)
+    assert found[4:] == pytest.approx(slope[4:], abs=1e-6)
+
+
+def test_an_impulse_of_rounding_errors_closes_nothing_in_derivatives():
+    """A weight on a crank lifts the coupler, which has just landed, while the held contact bears a load."""
+    model, loop = linkage([1.0, 2.0])
+    bob = model.addJoint(3, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.2])), "bob")
+    weight = pin.Inertia(3.0, np.array([0.1, 0.0, 0.4]), 0.1 * np.eye(3))
+    model.appendBodyToJoint(bob, weight, pin.SE3.Identity())
+    unbounded(model)
+    q0, v0, along = np.array([[0.4, -0.4, 0.4, 0.0], [1.5, -1.5, 1.5, 0.0], [1.0, -1.0, 1.0, 0.3]])
+    scene = Scene(model, [Contact("knee", Plane((0.0, 0.0, -0.9)))], held=[loop])
+    run = simulate(scene, q0, v0, 0.277, scheme="time-stepping", sensitivities=("state",))
+    (first, second) = (step(scene, q0, v0 + h * along, 0.277, 1e-3).v[-1] for h in (1e-5, -1e-5))
+    found = run.sensitivity(0.277).state[4:, 4:] @ along
+    assert found == pytest.approx((first - second) / 2e-5, abs=1e-5)
+
+
 @pytest.mark.parametrize("apart", [1e-9, 1e-6, 5e-5])
 @pytest.mark.parametrize("dt", [1e-2, 1e-3])
 def test_what_is_nearly_closed_where_a_step_begins_bounces(apart, dt):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._numeric.tolerances import RANK, SETTLED
+from .._numeric.tolerances import RANK, ROUNDING, SETTLED
 from ..arrays import Array, Integers
 from .step_taken import StepTaken
 
@@ -75,6 +75,7 @@ class _Sets:
         self.slides: list[Slide] = []
         self.bounds = np.zeros(len(taken.found.impulse))
         found = taken.found
+        self.rounding = ROUNDING * np.abs(found.impulse).max(initial=0.0)
         self.still = TIED * max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end))
 
     def tie(self) -> bool:
@@ -85,7 +86,7 @@ class _Sets:
     def closed(self, row: int, gap: float) -> tuple[float, int] | None:
         """Return the gap that a row along a normal closes, and how it matters; None if it is open."""
         found, h = self.taken.found, self.taken.h
-        if found.impulse[row] <= 0.0:
+        if found.impulse[row] <= self.rounding:
             apart = found.u_end[row] + 2.0 * max(gap, 0.0) / h > self.still
             return None if apart or not self.tie() else (0.0, OPEN)
         if abs(gap) <= self.taken.touching:

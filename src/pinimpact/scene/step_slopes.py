@@ -343,19 +343,21 @@ class StepSlopes:
             slopes = RowSlopes(placed, contacts, corners, self._spare)
             jacobian = _dense(rows, len(xi))
             of_contacts = 3 * (len(rows.contacts) + len(rows.held))
-            every = np.concatenate([rows.normals, rows.held_normals])
+            every = np.concatenate([rows.normals, rows.held_rows])
             acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(rows.normals))
             turned, world = np.zeros_like(jacobian), np.zeros((of_contacts // 3, 3))
             motions = slopes.motions(xi)
             for k, row in enumerate(slopes.rows):
                 turned[3 * k : 3 * k + 3] = row.slopes(motions)
             pushing = every < of_contacts
-            world[every[pushing] // 3, 2] = pushes[pushing]
+            world[every[pushing] // 3, every[pushing] % 3] = pushes[pushing]
             kept = jacobian[every[acts]]
+            gaps = np.arange(len(every)) < len(rows.normals)  # else what is held, along its surface
+            gaps |= every % 3 == 2
             bent = (slopes.forces(world) - slopes.of_mass(xi)) @ by_q
             solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
-            opened = -(kept @ (free + by_q) + turned[every[acts]] @ by_q)
+            opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
             turn, push = pin.dIntegrate(model, before, xi)
             by_q = turn @ by_q + push @ (free + response @ impulses)

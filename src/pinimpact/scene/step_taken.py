@@ -17,7 +17,7 @@ class Removal(NamedTuple):
 
     Attributes:
         displacement: (nv,) ξ.
-        pushes: z, along `StepRows.normals`, then of held contacts [kg m or kg m²].
+        pushes: z, along `StepRows.normals`, then `StepRows.held_rows` [kg m or kg m²].
         before: (nq,) the configuration before.
         rows: The rows there.
         contacts, corners: As in `StepTaken`, of these.

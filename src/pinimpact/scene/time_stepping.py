@@ -421,10 +421,10 @@ class TimeStepping(Integrator):
         return moved
 
     def _least_displacement(self, rows: StepRows, places: Integers) -> tuple[Array, Array]:
-        """Return the displacement (nv,) that opens gaps, held ones to zero, and the pushes of their rows."""
+        """Return the displacement (nv,) that opens gaps, holds what is held, and the pushes of the rows."""
         correction, nothing = np.zeros((2, self.model.nv))
         self._invert(self.state.q, nothing)
-        numbers = np.concatenate([rows.normals, rows.held_normals])
+        numbers = np.concatenate([rows.normals, rows.held_rows])
         free, pushes = np.concatenate([rows.gap[places], rows.off]), np.empty(len(numbers))
         lower, upper = np.zeros(len(free)), np.full(len(free), math.inf)
         lower[len(places) :] = -math.inf

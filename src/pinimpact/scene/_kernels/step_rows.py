@@ -52,14 +52,16 @@ class StepRows(NamedTuple):
         return np.concatenate([np.arange(nc), nc + nh + np.arange(len(self.limits))])
 
     @property
-    def held_normals(self) -> Integers:
-        """(nh,) The rows along the normals of held contacts."""
-        return 3 * (len(self.contacts) + np.arange(len(self.held))) + 2
+    def held_rows(self) -> Integers:
+        """(3 nh,) The rows of held contacts."""
+        return 3 * len(self.contacts) + np.arange(3 * len(self.held))
 
     @property
     def off(self) -> Floats:
-        """(nh,) By how much the held contacts are off their surfaces."""
-        return self.gap[len(self.contacts) : len(self.contacts) + len(self.held)]
+        """(3 nh,) By how much the held contacts are off their surfaces; zero along these."""
+        off = np.zeros(3 * len(self.held))
+        off[2::3] = self.gap[len(self.contacts) : len(self.contacts) + len(self.held)]
+        return off
 
 
 class StepSystem(NamedTuple):
