@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from .arrays import Array
 from .errors import InputError, UnknownNameError
 
 _DOUBLE = np.dtype(np.float64)
 
 
-def real_numbers(field: str, value: Any, expected: str = "an array of real numbers") -> NDArray[np.float64]:
+def real_numbers(field: str, value: Any, expected: str = "an array of real numbers") -> Array:
     """Return `value` as a float64 array, or raise `InputError` naming `field`.
 
     Complex numbers, text, dates, truth values and masked entries are refused; NumPy converts them silently.
@@ -88,7 +89,7 @@ def output_file(field: str, path: str | Path) -> Path:
     return path
 
 
-def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`.
 
     A number is accepted for an array of one. The array is writable: kernels are compiled for such arrays, and
@@ -103,7 +104,7 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray
     return array
 
 
-def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Like `float_array`, and refuse NaN and infinity."""
     array = float_array(field, value, shape)
     squares = np.vdot(array, array)  # quickly finite, unless it is too large

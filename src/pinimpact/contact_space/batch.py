@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._compile.threads import in_threads, thread_count
+from ..arrays import Integers
 from ..checks import real_numbers
 from ..errors import InputError
 from ..status import Status
@@ -53,7 +54,7 @@ class BatchSolution:
         self.flags = codes[:, 1]
         self.iterations = codes[:, 2]
 
-    def _solve(self, work: bool) -> tuple[Array, NDArray[np.int64], Array]:
+    def _solve(self, work: bool) -> tuple[Array, Integers, Array]:
         from ._kernels.batch import solve_rows
 
         count = len(self._inputs[1])
@@ -71,7 +72,7 @@ class BatchSolution:
         in_threads(solve, count, self._threads)
         return result
 
-    def _differentiate(self) -> tuple[Array, NDArray[np.int64]]:
+    def _differentiate(self) -> tuple[Array, Integers]:
         count = len(self._inputs[1])
         slopes, boundaries = empty_slopes(count)
         outputs = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64), slopes, boundaries
@@ -100,7 +101,7 @@ class BatchSolution:
         )
 
 
-def status_counts(status: NDArray[np.int64]) -> str:
+def status_counts(status: Integers) -> str:
     """Return how many rows have which status: "990 SEPARATED, 10 NO_IMPACT"."""
     values, counts = np.unique(status, return_counts=True)
     counted = zip(values.tolist(), counts.tolist(), strict=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Integers
 from ..errors import InputError
 from ..status import Sentences, Status
 from .inputs import ENTRY, FACTOR, Array, Inputs
@@ -91,7 +91,7 @@ def differentiate(
     differentiate_rows(matrices, velocities, mu, e, law, scales, factors, *outputs)
 
 
-def empty_slopes(count: int) -> tuple[Array, NDArray[np.int64]]:
+def empty_slopes(count: int) -> tuple[Array, Integers]:
     """Return arrays for the derivatives of so many problems, (N, 6, 14), and for their boundaries."""
     return np.empty((count, 6, 14)), np.empty(count, dtype=np.int64)
 

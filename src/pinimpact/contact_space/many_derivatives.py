@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import ROUNDING, ROUNDOFF
+from ..arrays import Bools
 from ..errors import PinimpactError
 from ._kernels.tolerances import MISSED
 from .derivatives import Boundary
@@ -59,7 +59,7 @@ class Slopes(NamedTuple):
     """
 
     impulse: Array
-    shared: NDArray[np.bool_]
+    shared: Bools
     boundary: Boundary
 
 

@@ -9,10 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import ROUNDING
-from ..arrays import Array, Integers
+from ..arrays import Array, Bools, Integers
 from .convex_shape import PlacedShape, cross
 from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, TIE
 
@@ -219,7 +218,7 @@ def _edges_near(shape: PlacedShape, normal: Array) -> Array:
     return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 
 
-def _foremost(shape: PlacedShape, normal: Array, part: float) -> NDArray[np.bool_]:
+def _foremost(shape: PlacedShape, normal: Array, part: float) -> Bools:
     """Return which vertices are extreme against a normal, to a part of the shape's size."""
     depth = shape.vertices @ normal
     return np.asarray(depth <= depth.min() + part * shape.shape.reach)
@@ -263,9 +262,7 @@ def nearest_features(a: PlacedShape, b: PlacedShape, normal: Array, part: float)
     return found
 
 
-def _on_faces(
-    a: PlacedShape, b: PlacedShape, mask_a: NDArray[np.bool_], mask_b: NDArray[np.bool_], slack: float
-) -> list[Touch]:
+def _on_faces(a: PlacedShape, b: PlacedShape, mask_a: Bools, mask_b: Bools, slack: float) -> list[Touch]:
     """Return vertices of A that lie above faces of B, within their sides to a tolerance [m]."""
     faces = [k for k, face in enumerate(b.shape.faces) if mask_b[face].all()]
     return [
@@ -276,7 +273,7 @@ def _on_faces(
     ]
 
 
-def _on_edges(a: PlacedShape, b: PlacedShape, mask_a: NDArray[np.bool_], edges: list[int]) -> list[Touch]:
+def _on_edges(a: PlacedShape, b: PlacedShape, mask_a: Bools, edges: list[int]) -> list[Touch]:
     """Return vertices of A whose projections on edges of B lie within these."""
     found = []
     for i in np.flatnonzero(mask_a).tolist():

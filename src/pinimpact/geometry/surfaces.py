@@ -9,8 +9,9 @@ from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import finite_array, in_short
 from ..display import short_repr
 from ..errors import InputError
@@ -54,7 +55,7 @@ class Surface(ABC):
         """The centre of rotation of the surface's material [m]."""
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Array:
         """(3, 3) axes t₁, t₂, n at one point of the surface, as rows: the initial contact axes of a scene."""
         return contact_axes(self.normal)
 
@@ -128,7 +129,7 @@ def check_frame_key(field: str, value: object, *, optional: bool = False) -> Non
         raise InputError(f"{field}: {in_short(value)} is neither the name nor the id of a frame", value=value)
 
 
-def contact_axes(normal: ArrayLike) -> NDArray[np.float64]:
+def contact_axes(normal: ArrayLike) -> Array:
     """Return the (3, 3) contact axes of a normal: t₁, t₂ and n as rows, right-handed, in the normal's axes.
 
     For n = z: t₁ = x, t₂ = y. For any other n: the axes to which the smallest rotation that takes z to n

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from .._compile.threads import in_threads, thread_count
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..checks import counted, float_array, in_short, real_numbers
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
@@ -44,7 +44,7 @@ class _Rows(NamedTuple):
     contact: Contact
     mu: Array
     e: Array
-    usable: NDArray[np.bool_]
+    usable: Bools
     held: tuple[Contact, ...]
     locked: Sequence[str | int]
     stiffening: Stiffening
@@ -64,8 +64,8 @@ class Hits:
 
     v: Array
     impulse_world: Array
-    status: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    status: Integers
+    flags: Integers
     _rows: _Rows
     _data: pin.Data | None = None
 
@@ -232,7 +232,7 @@ def _is_usable(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> 
 
 def _solve_by_kernel(
     cache: DataCache, data: pin.Data, rows: _Rows, wanted: int
-) -> tuple[NDArray[np.int64], Array, Array, Array]:
+) -> tuple[Integers, Array, Array, Array]:
     """Return status and flags (N, 2), v⁺, impulses, and for `wanted` rows the other results of `resolve`."""
     model, contact, count = rows.model, rows.contact, len(rows.q)
     after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
@@ -257,7 +257,7 @@ def _solve_by_kernel(
 
 
 def _solve_by_pinocchio(
-    data: pin.Data, rows: _Rows, after: Array, impulses: Array, codes: NDArray[np.int64], numbers: Array
+    data: pin.Data, rows: _Rows, after: Array, impulses: Array, codes: Integers, numbers: Array
 ) -> None:
     """Compute the rows by calls of Pinocchio, for joints that the kernels do not support."""
     model, contact, nv = rows.model, rows.contact, rows.model.nv

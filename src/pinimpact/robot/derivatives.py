@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..checks import above_zero, finite_array, float_array
 from ..contact_space.derivatives import Boundary
 from ..contact_space.one_sided import check_side
@@ -324,8 +324,8 @@ class Tree(NamedTuple):
     """The motions (6, nv) of the velocities, and the joints that they belong to and that these stand on."""
 
     J: Array
-    joint: NDArray[np.int64]
-    parent: NDArray[np.int64]
+    joint: Integers
+    parent: Integers
 
     @classmethod
     def of(cls, placed: PlacedRobot) -> Tree:
@@ -434,7 +434,7 @@ def _add_held(
 def responses(
     placed: PlacedRobot,
     anchors: Sequence[ContactGeometry],
-    free: NDArray[np.bool_],
+    free: Bools,
     forces: Array,
     sliding: Array,
 ) -> Array:

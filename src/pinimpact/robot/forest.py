@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 
 LARGE = 60
 """Velocities up to which a robot has one Data, and a part several trees."""
@@ -75,7 +74,7 @@ class Forest:
         for part in self.parts:
             _set_numbers(part.model, self.model, part.first, part.v)
 
-    def parents(self) -> NDArray[np.int64]:
+    def parents(self) -> Integers:
         """Return (nv,) the next velocity towards the root, or −1."""
         found = [np.array(part.data.parents_fromRow, dtype=np.int64) for part in self.parts]
         return np.concatenate(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import JointLimitWarning
 from .tolerances import SLACK
 
@@ -56,7 +56,7 @@ def joint_limits(model: pin.Model) -> tuple[JointLimit, ...]:
     return tuple(found)
 
 
-def bounds(model: pin.Model) -> NDArray[np.float64]:
+def bounds(model: pin.Model) -> Array:
     """Return (2, nq) the lower and the upper bound of each coordinate, infinite if it has none."""
     found = np.full((2, model.nq), np.inf)
     found[0] = -np.inf
@@ -65,7 +65,7 @@ def bounds(model: pin.Model) -> NDArray[np.float64]:
     return found
 
 
-def slack_bounds(model: pin.Model) -> NDArray[np.float64]:
+def slack_bounds(model: pin.Model) -> Array:
     """Return `bounds` with `SLACK`, the tolerance of the warning."""
     return bounds(model) + np.array([[-SLACK], [SLACK]])
 
@@ -75,7 +75,7 @@ def degrees_hint(value: float) -> str:
     return "; angles are in radians, and this looks like degrees" if abs(value) > 2.0 * math.pi else ""
 
 
-def warn_of_limits(model: pin.Model, q: NDArray[np.float64], rows: str, stacklevel: int) -> None:
+def warn_of_limits(model: pin.Model, q: Array, rows: str, stacklevel: int) -> None:
     """Warn that a configuration (nq,) is outside the limits of a joint.
 
     Args:

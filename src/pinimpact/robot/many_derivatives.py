@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..checks import finite_array
 from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, Slopes, slopes_along
@@ -168,7 +168,7 @@ class ManySlopes:
         contacts: Sequence[Contact],
         matrices: ManyMatrices,
         held: Sequence[Contact],
-        free: NDArray[np.bool_],
+        free: Bools,
         corners: Mapping[int, Corner] | None = None,
     ) -> None:
         self.matrices, self._free, self._placed = matrices, free, placed

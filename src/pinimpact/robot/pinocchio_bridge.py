@@ -28,10 +28,9 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..errors import ModelError
 from ._kernels import tree
 from ._kernels.free_bodies import BODY as BODIES
@@ -54,7 +53,7 @@ class Call(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-def call_addresses(calls: Sequence[Call]) -> NDArray[np.int64]:
+def call_addresses(calls: Sequence[Call]) -> Integers:
     """Return (2 n,) addresses of n functions and their arguments, alternating, for `python_calls.call`.
 
     The caller keeps the calls alive.

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._compile.jit import compile_all
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..geometry._kernels.contact_axes import contact_axes
 from . import pinocchio_bridge as bridge
 from ._kernels import robot_workspace as joint_kinds
@@ -177,7 +177,7 @@ def workspace_of(
     carrier: int,
     model: pin.Model,
     bounds: Array,
-    parents: NDArray[np.int64],
+    parents: Integers,
     signs: Array,
 ) -> RobotWorkspace:
     """Return the workspace of a contact, without the contact's constants.

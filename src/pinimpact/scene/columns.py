@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..contact_space.solution import CAUSES
 from ..tables import AXES, by_component
 from .records import ImpactRecord, ModeInterval
@@ -44,7 +44,7 @@ def mode_columns(rows: Sequence[ModeInterval]) -> dict[str, NDArray[Any]]:
     }
 
 
-def modes_at(modes: Sequence[ModeInterval], source: str, t: Array, before: NDArray[np.bool_]) -> NDArray[Any]:
+def modes_at(modes: Sequence[ModeInterval], source: str, t: Array, before: Bools) -> NDArray[Any]:
     """Return the mode (m,) of a contact at times t (m,), some of them `before` a jump at that time."""
     found = np.full(len(t), "free", dtype=object)
     for interval in modes:

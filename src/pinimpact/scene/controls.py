@@ -9,9 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..checks import finite_array, float_array, real_numbers
 from ..display import short_repr
 from ..errors import InputError, SimulationError
@@ -111,8 +111,8 @@ class Drives:
         stiffness, damping, reference, limit: Of each velocity.
     """
 
-    velocity: NDArray[np.int64]
-    coordinate: NDArray[np.int64]
+    velocity: Integers
+    coordinate: Integers
     stiffness: Array
     damping: Array
     reference: Array
@@ -143,7 +143,7 @@ def no_drives(nv: int) -> Drives:
     return Drives(none[:0], none, zero, zero, zero, zero)
 
 
-def _gains(name: str, value: ArrayLike, floating: NDArray[np.bool_]) -> Array:
+def _gains(name: str, value: ArrayLike, floating: Bools) -> Array:
     """Return numbers ≥ 0 (nv,); a single one is that of all velocities but those of a free base."""
     single = np.ndim(value) == 0
     numbers = float_array(name, value, (1,) if single else floating.shape)

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..geometry._kernels.box_patch import MOST
 from ..geometry.convex_pair import Touch
 from ..geometry.patch import Patch, patch
@@ -54,9 +53,7 @@ class FacingShapes:
         rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
     """
 
-    def __init__(
-        self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout, rests: NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout, rests: Bools) -> None:
         self._model, self._layout, self._rests = model, layout, rests
         self._dynamics, self._work = dynamics, dynamics.work
         self._gravity = float(np.linalg.norm(model.gravity.linear))

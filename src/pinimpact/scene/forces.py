@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ._kernels import active_set, force_evaluation
 from ._kernels.contact_forces import SLIP
 from ._kernels.workspace import SceneWorkspace
@@ -39,20 +38,20 @@ class ClosedSet(NamedTuple):
         swapped: The contacts whose tip is on what the robot's shape meets, so that their force is on that.
     """
 
-    modes: NDArray[np.int64]
+    modes: Integers
     sliding: Array
-    sides: NDArray[np.int64]
+    sides: Integers
     control: Array
     constants: Array
     direction_speed: float
     slips: bool
     unique: bool
     known: Array
-    joints: NDArray[np.int64]
-    swapped: NDArray[np.int64]
+    joints: Integers
+    swapped: Integers
 
     @classmethod
-    def of(cls, work: SceneWorkspace, swapped: NDArray[np.int64]) -> ClosedSet | None:
+    def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:
         """Return what is closed now, or None if nothing holds or rubs.
 
         Args:
@@ -113,7 +112,7 @@ class StepForces(NamedTuple):
         resting: The same of what is at rest, if anything is.
     """
 
-    contacts: NDArray[np.int64]
+    contacts: Integers
     world: Array
     points: Array
     normals: Array
@@ -136,7 +135,7 @@ class StepForces(NamedTuple):
         every[:, whole.contacts] = whole.world, whole.points, whole.normals
         return Forces(world, points, normals, whole.joints, True)
 
-    def acting(self, count: int) -> NDArray[np.bool_]:
+    def acting(self, count: int) -> Bools:
         """Return which of so many contacts have a force."""
         acts, whole = np.zeros(count, dtype=bool), self.together()
         acts[whole.contacts] = whole.world.any(axis=1)
@@ -161,7 +160,7 @@ class Dynamics(Protocol):
 
     work: SceneWorkspace
 
-    def make_room(self, closing: NDArray[np.int64]) -> None:
+    def make_room(self, closing: Integers) -> None:
         """Make room for contacts (n,) that are closed, where not zero."""
 
     def check(self) -> None:
@@ -240,12 +239,12 @@ class TabulatedForces:
     def __init__(
         self,
         contacts: Sequence[str],
-        rows: NDArray[np.int64],
+        rows: Integers,
         world: Array,
         points: Array,
         normals: Array,
         joints: Array,
-        unique: NDArray[np.bool_],
+        unique: Bools,
     ) -> None:
         self.contacts = list(contacts)
         self.tables = rows, world, points, normals, joints, unique

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..robot.shape_pair import PointContact
 from .dense_step import WORKS
 from .forces import ClosedSet, StepForces
@@ -103,7 +102,7 @@ class HybridState:
     rubbed: tuple[float, float] = (0.0, 0.0)
     struck: int = 0
 
-    islands: NDArray[np.int64] | None = None
+    islands: Integers | None = None
     resting_forces: StepForces | None = None
     warm_start: Array | None = None
     pushed: Array | None = None

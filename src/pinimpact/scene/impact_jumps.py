@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, slopes_along
@@ -79,13 +78,13 @@ class ImpactJumps:
         """Return the numbers of the contacts and, past those, limits that take part in an impact."""
         return (self._source[record.source],) if record.group is None else record.group[0].sources
 
-    def islands(self, active: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def islands(self, active: Bools) -> Integers:
         """Return numbers (nv,) of the islands of velocities that trees and active contacts connect."""
         roots, work = self._roots, self.dynamics.work
         return np.asarray(islands(roots, roots[work.contact_joints[active]])[roots[work.velocity_joint]])
 
     def of(
-        self, record: ImpactRecord, modes: NDArray[np.int64], corners: Mapping[int, Corner] | None = None
+        self, record: ImpactRecord, modes: Integers, corners: Mapping[int, Corner] | None = None
     ) -> SingleJump | GroupJump:
         """Return the derivatives of an impact.
 
@@ -217,7 +216,7 @@ class GroupJump:
         self,
         scene: ImpactJumps,
         record: ImpactRecord,
-        modes: NDArray[np.int64],
+        modes: Integers,
         corners: Mapping[int, Corner],
     ) -> None:
         assert record.group is not None

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
 from ..errors import BoundReachedWarning, IrregularMotionError
 from ..robot.pinocchio_bridge import check_inertia
@@ -246,15 +245,15 @@ class Instant:
         work, speeds = self.dynamics.work, v.tolist()
         return float(work.atol + work.rtol * max(max(speeds), -min(speeds)))
 
-    def _closed(self, chosen: NDArray[np.int64]) -> list[int]:
+    def _closed(self, chosen: Integers) -> list[int]:
         """Return those of contacts and limits that are chosen and not held."""
         contacts, bilateral = len(self.dynamics.contacts), self.dynamics.work.bilateral
         return [i for i in np.flatnonzero(chosen).tolist() if i >= contacts or not bilateral[i]]
 
-    def _names(self, touching: list[int], chosen: NDArray[np.bool_]) -> str:
+    def _names(self, touching: list[int], chosen: Bools) -> str:
         return ", ".join(self.names[i] for i, is_chosen in zip(touching, chosen, strict=True) if is_chosen)
 
-    def _slipping(self, touching: list[int]) -> NDArray[np.bool_]:
+    def _slipping(self, touching: list[int]) -> Bools:
         """Return which of what touches slips, as modes were last looked for."""
         slips = np.zeros(len(touching), dtype=bool)
         contacts = [i for i in touching if i < self.dynamics.work.contacts]
@@ -406,7 +405,7 @@ class Instant:
 
     # ---- contacts that stay closed
 
-    def _set_modes(self, slow: NDArray[np.int64]) -> int:
+    def _set_modes(self, slow: Integers) -> int:
         """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained

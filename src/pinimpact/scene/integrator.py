@@ -298,8 +298,7 @@ class Integrator:
             return natural
         state.cut_short = trial == stop - t
         self._complete(step, stop if state.cut_short else step.end)
-        longer = trial * work.growth
-        return max(longer, natural) if state.cut_short else longer
+        return trial * work.growth if not state.cut_short else max(trial * work.growth, natural)
 
     def _compute(self, h: float, left: float) -> tuple[float, float, Array | None] | IrregularMotionError:
         """Compute a step whose error is small enough.

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ._kernels.tolerances import NEGLIGIBLE
 
 MOST_CHOSEN = 12
 """Contacts of which all choices of some are tried."""
 
 
-def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> float:
+def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: Bools) -> float:
     """Return by what factor, at least 1, friction is to be larger for forces to have no bound; inf for none.
 
     Args:
@@ -38,7 +37,7 @@ def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: ND
 
 
 def growing_indentations(
-    delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_], stiffness: Array
+    delassus: Array, velocity: Array, friction: Array, slips: Bools, stiffness: Array
 ) -> Array | None:
     """Return in which proportions (n,) indentations grow by themselves, the largest 1; None if they do not.
 
@@ -78,7 +77,7 @@ def _fastest_growth(
     delassus: Array,
     velocity: Array,
     friction: Array,
-    slips: NDArray[np.bool_],
+    slips: Bools,
     stiffness: Array,
 ) -> tuple[Array, Array] | None:
     """Return the normal forces with which indentations of active contacts grow fastest by themselves.
@@ -121,7 +120,7 @@ def _indentations(active: Sequence[int], forces: Array, stiffness: Array) -> Arr
     return np.array(indentations / indentations.max())
 
 
-def _slipping_rows(velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> tuple[list[int], Array]:
+def _slipping_rows(velocity: Array, friction: Array, slips: Bools) -> tuple[list[int], Array]:
     """Return which rows of contacts are held, and per held row the friction against it, (3n, rows)."""
     rows, columns = [], []
     for i, (x, y, _) in enumerate(velocity.tolist()):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Array, Integers
 from ..errors import ModelError
 from ._kernels.lie_charts import CIRCLE, PLANAR, RIGID, ROTATION, VECTOR
 
 
-def joint_table(model: pin.Model) -> NDArray[np.int64]:
+def joint_table(model: pin.Model) -> Integers:
     """Return the (k, 4) table that `lie_charts` describes; plain neighbours share a row.
 
     Raises:
@@ -41,7 +41,7 @@ def joint_table(model: pin.Model) -> NDArray[np.int64]:
     return np.array(rows, dtype=np.int64).reshape(-1, 4)
 
 
-def coordinate_rates(table: NDArray[np.int64], q: NDArray[np.float64], nv: int) -> NDArray[np.float64]:
+def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
     """Return ∂q/∂δ (nq, nv) of the coordinates q ⊕ δ at δ = 0, whose columns are at right angles."""
     rates = np.zeros((len(q), nv))
     for kind, i, j, n in table.tolist():

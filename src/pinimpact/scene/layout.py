@@ -9,9 +9,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..geometry._kernels.constants import CONSTANTS
 from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
@@ -147,17 +146,17 @@ class SceneLayout:
         return tuple(dict.fromkeys((*contacts, *limits, *list(self._model.names)[1:])))
 
     @cached_property
-    def joint_charts(self) -> NDArray[np.int64]:
+    def joint_charts(self) -> Integers:
         """The table of the configuration space, see `joint_table`."""
         return joint_table(self._model)
 
     @cached_property
-    def velocity_joint(self) -> NDArray[np.int64]:
+    def velocity_joint(self) -> Integers:
         """(nv,) the joint that each velocity belongs to."""
         return np.repeat(np.arange(self._model.njoints), np.array(self._model.nvs))
 
     @cached_property
-    def chains(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def chains(self) -> tuple[Integers, Integers]:
         """The last of the velocities that move each joint, −1 for none, and the one before each (nv,)."""
         model = self._model
         last, before = np.full(model.njoints, -1), np.arange(-1, model.nv - 1)
@@ -168,13 +167,13 @@ class SceneLayout:
                 before[start], last[joint] = above, start + count - 1
         return last, before
 
-    def rate_of_damping(self, damping: NDArray[np.float64]) -> float:
+    def rate_of_damping(self, damping: Array) -> float:
         """Return how fast damped joints (nv,) settle at the most, in the neutral configuration [1/s]."""
         if not damping.any():
             return 0.0
         return self._damping.of(damping.tobytes(), lambda _: self._rate_of_damping(damping))
 
-    def _rate_of_damping(self, damping: NDArray[np.float64]) -> float:
+    def _rate_of_damping(self, damping: Array) -> float:
         model = self._model
         minverse = inverse_mass(model, data_of(model), pin.neutral(model))
         minverse = np.triu(minverse) + np.triu(minverse, 1).T
@@ -245,7 +244,7 @@ class SceneLayout:
                 nowhere = nowhere or contact_constants(model, contact)
                 parts.append(nowhere)
         blocks: list[tuple[int, int, int]] = []
-        spheres: list[NDArray[np.float64]] = []
+        spheres: list[Array] = []
         for first, stop in runs(contacts):
             sphere = bounding_sphere(contacts[first:stop])
             blocks.append((first, stop, -1 if sphere is None else len(spheres)))
@@ -287,14 +286,14 @@ class PairTables(NamedTuple):
         least: (p,) by what they have to stay apart [m].
     """
 
-    vertices: NDArray[np.float64]
-    ranges: NDArray[np.int64]
-    joints: NDArray[np.int64]
-    radii: NDArray[np.float64]
-    centers: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    moves: NDArray[np.int64]
-    least: NDArray[np.float64]
+    vertices: Array
+    ranges: Integers
+    joints: Integers
+    radii: Array
+    centers: Array
+    reaches: Array
+    moves: Integers
+    least: Array
 
 
 class ContactTables(NamedTuple):
@@ -309,11 +308,11 @@ class ContactTables(NamedTuple):
         spheres: (s, 28) constants of the spheres.
     """
 
-    constants: NDArray[np.float64]
-    joints: NDArray[np.int64]
-    friction: NDArray[np.float64]
-    blocks: NDArray[np.int64]
-    spheres: NDArray[np.float64]
+    constants: Array
+    joints: Integers
+    friction: Array
+    blocks: Integers
+    spheres: Array
 
 
 def _sizes(model: pin.Model) -> tuple[int, int, int, int]:

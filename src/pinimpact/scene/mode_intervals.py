@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Integers
 from ..robot.names import joint_of_velocity
 from ._kernels.contact_forces import HELD, SLIP, STICK
 from .records import ModeInterval
@@ -41,7 +41,7 @@ class ModeIntervals:
         self._named = np.zeros(len(self._names), dtype=np.int64)
         self._others: bytes | None = None  # unknown, so that all are looked at
 
-    def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
+    def update(self, t: float, modes: Integers, sides: Integers) -> None:
         """Take the modes from t: some intervals end, others begin.
 
         Args:
@@ -70,7 +70,7 @@ class ModeIntervals:
                 self.ended.append(ModeInterval(source, mode, start, t))
         self.present = lasting | {source: (mode, t) for source, mode in now.items() if source not in lasting}
 
-    def _change(self, t: float, changed: list[int], named: NDArray[np.int64]) -> None:
+    def _change(self, t: float, changed: list[int], named: Integers) -> None:
         """Take the modes of contacts and limits from t, of which some have others."""
         present = dict(self.present)
         for i in changed:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import Bools
 from ..errors import ModelError
 from ..robot.names import joint_of_velocity
 
@@ -31,7 +31,7 @@ def check_numbers(model: pin.Model) -> None:
             raise _refused(f"{field}[{k}]", values[k], "a bound [rad or m], infinite where there is none,")
 
 
-def _first(faults: NDArray[np.bool_]) -> list[int]:
+def _first(faults: Bools) -> list[int]:
     return np.flatnonzero(faults)[:1].tolist()
 
 

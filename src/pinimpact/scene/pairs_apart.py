@@ -7,10 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from .._compile.jit import compile_all
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import call_addresses
@@ -66,7 +65,7 @@ class PairsApart:
             raise_kept_error()
         return found
 
-    def over(self, step: DenseStep, peak: Array) -> NDArray[np.bool_]:
+    def over(self, step: DenseStep, peak: Array) -> Bools:
         """Return (p,) whether each pair stays apart over a step, along the direction last known.
 
         Args:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Integers
+from ..arrays import Array, Integers
 from ._kernels.workspace import SceneWorkspace
 from .forces import StepForces
 from .hybrid_state import HybridState
@@ -86,7 +85,7 @@ class Rest:
         self._state.islands, self._state.resting_forces = self._none, None
         self._set_joints()
 
-    def wake_moving(self, v: NDArray[np.float64]) -> None:
+    def wake_moving(self, v: Array) -> None:
         """Let what has a velocity (nv,) take part again, with what rests on it."""
         moves = self._work.velocity_joint[v != 0.0]
         if self and self.joints[moves].any():

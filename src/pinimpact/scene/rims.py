@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..errors import SimulationError
 from ..robot.placed_robot import PlacedRobot
 from ..robot.touching import flat_rim, tilt_of_rim
@@ -53,7 +52,7 @@ class Rims:
         closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
         self._refuse_flat(closed, NEARLY_SINGULAR)
 
-    def check(self, where: NDArray[np.int64]) -> None:
+    def check(self, where: Integers) -> None:
         """Stop where a rim touches all round, within the tolerance of touching."""
         touching = [k for k in self._rims if where[k] != APART]
         self._refuse_flat(touching, 0.0)

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import finite_array, in_short
 from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
@@ -212,7 +212,7 @@ class Saltation:
         found = np.vstack([moved[:nv], by[:nv, :-1] @ moved + np.outer(by[:nv, -1], shift)])
         return self._checked(plus, found - np.outer(later, shift))
 
-    def _modes(self, step: DenseStep) -> NDArray[np.int64]:
+    def _modes(self, step: DenseStep) -> Integers:
         work = self._dynamics.work
         if step.closed is None:
             return np.zeros(work.contacts + work.limits + work.nv, dtype=np.int64)
@@ -236,7 +236,7 @@ class Saltation:
         self,
         x: Array,
         impacts: Sequence[ImpactRecord],
-        modes: tuple[NDArray[np.int64], NDArray[np.int64]],
+        modes: tuple[Integers, Integers],
         plus: ModeSlopes,
         rates: tuple[Array, Array],
     ) -> Array:
@@ -279,7 +279,7 @@ class Saltation:
         self,
         x: Array,
         impacts: Sequence[ImpactRecord],
-        modes: NDArray[np.int64],
+        modes: Integers,
         corners: Mapping[int, Corner],
     ) -> Array:
         """Return how changes x (2nv, n) of the state that impacts of an instant meet are after them.
@@ -344,7 +344,7 @@ class Saltation:
 
 
 def _through_rest(
-    x: Array, minus: ModeSlopes, stops: Sequence[Slip], joints: NDArray[np.int64], rates: tuple[Array, Array]
+    x: Array, minus: ModeSlopes, stops: Sequence[Slip], joints: Integers, rates: tuple[Array, Array]
 ) -> Array:
     """Return changes after a contact, or a joint with dry friction, comes to rest or passes it. (D27)
 
@@ -366,7 +366,7 @@ def _through_rest(
     return np.asarray(x - np.outer(rates[0] - rates[1], guard @ x / rate))
 
 
-def _reversed(slip: Slip, plus: ModeSlopes, later: NDArray[np.int64]) -> bool:
+def _reversed(slip: Slip, plus: ModeSlopes, later: Integers) -> bool:
     """Whether a contact slips on the other way."""
     return any(
         one.contact == slip.contact and later[one.contact] == SLIP and one.direction @ slip.direction < 0.0

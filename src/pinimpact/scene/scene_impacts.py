@@ -11,10 +11,9 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -237,7 +236,7 @@ class SceneImpacts:
         return group_impact(v, response, solved, sources, axes, 0.0)
 
     def without_forces(
-        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: NDArray[np.bool_], slack: float
+        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: Bools, slack: float
     ) -> GroupImpact | None:
         """Resolve the impact without collision where no forces let contacts slip on. (theory.md, 13)
 
@@ -290,7 +289,7 @@ class SceneImpacts:
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
-    def islands(self, contacts: NDArray[np.int64]) -> int:
+    def islands(self, contacts: Integers) -> int:
         """Return how many islands of trees of joints contacts connect; the world connects nothing."""
         ends = self._roots[self._dynamics.work.contact_joints[contacts]]
         return len(np.unique(islands(self._roots, ends)[ends[ends > 0]]))

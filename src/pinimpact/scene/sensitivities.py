@@ -12,10 +12,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import RANK, ROUNDOFF
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
@@ -440,7 +439,7 @@ class Sensitivities:
             return k
         slow = SLOWEST * saltation.error(steps[k].v)
 
-        def slowed(step: DenseStep) -> NDArray[np.int64]:
+        def slowed(step: DenseStep) -> Integers:
             speeds = saltation.slopes.speeds(step, np.array([step.end]))[0]
             contacts = np.flatnonzero(closed.modes)[: len(speeds)]
             return contacts[(closed.modes[contacts] == SLIP) & (speeds <= slow)]

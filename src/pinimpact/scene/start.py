@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import finite_array
 from ..errors import InputError
 from ..robot.data_cache import checked_configuration, data_cache
@@ -91,7 +91,7 @@ def left_by_steps(dt: float, extent: float, gravity: float, rates: Any) -> Any:
 
 
 def _begin_at(
-    model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState, numbers: NDArray[np.int64]
+    model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState, numbers: Integers
 ) -> None:
     """Put the start onto the surfaces and limits that it is off by rounding."""
     count = len(dynamics.contacts)

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
 from ..robot.derivatives import check_joints
 from ..robot.forest import mass_matrix
@@ -146,7 +145,7 @@ class StepSlopes:
             result[:nv] += part * (self._removed(end, taken) - end)
         return result
 
-    def modes(self, taken: StepTaken) -> NDArray[np.int64]:
+    def modes(self, taken: StepTaken) -> Integers:
         """Return the modes (n + nl,) of contacts and limits in a step."""
         work, rows = self._work, taken.rows
         modes = np.zeros(work.contacts + work.limits, dtype=np.int64)

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape
@@ -47,7 +46,7 @@ class Watched:
     places: list[int]
     blanks: list[Contact]
     size: float
-    supports: NDArray[np.bool_]
+    supports: Bools
     state: HybridState
 
     @property
@@ -295,7 +294,7 @@ class TouchingPoints:
                         value=watched.label,
                     )
 
-    def swapped(self) -> NDArray[np.int64]:
+    def swapped(self) -> Integers:
         """Return the contacts whose forces act on the second shape of their pair."""
         if not self._state.touching:
             return _NONE

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
 from ..checks import choice, counted, in_short, near_matches, real_number, real_numbers
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
@@ -76,7 +76,7 @@ class Trajectory:
     def __init__(
         self,
         segments: Sequence[DenseStep],
-        joints: NDArray[np.int64],
+        joints: Integers,
         samples: tuple[Array, Array, Array],
         impacts: Sequence[ImpactRecord],
         events: Sequence[EventRecord],
@@ -217,7 +217,7 @@ class Trajectory:
         nv = self.v.shape[1]
         return self._of_times(t, side, lambda forces: np.zeros(nv) if forces is None else forces.joints)
 
-    def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
+    def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> Bools:
         """Return whether the motion determines the forces, () or (m,)."""
         found = self._of_times(t, side, lambda forces: np.array(forces is None or forces.unique))
         return found.astype(bool)

@@ -44,7 +44,7 @@ class Ensemble:
     columns: Mapping[str, NDArray[Any]]
     parameters: tuple[str, ...]
     design: str
-    _run: Callable[[NDArray[np.float64]], Trajectory] | None = None
+    _run: Callable[[Array], Trajectory] | None = None
 
     def __len__(self) -> int:
         return len(self.columns["sample"])

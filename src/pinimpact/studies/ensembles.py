@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..checks import choice, counted, function, in_short, whole_number
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.batch import Hits, impacts
@@ -72,7 +73,7 @@ class _Task:
         columns = index | dict(zip(self.sampling.names, drawn.T.copy(), strict=True)) | found
         return columns, time.thread_time() - began
 
-    def trajectory(self, numbers: NDArray[np.float64]) -> Trajectory:
+    def trajectory(self, numbers: Array) -> Trajectory:
         """Return the run of a sample; errors as in `simulate`."""
         scene, q, v = self.sampling.apply(numbers)
         if scene.period is not None:  # such a control may have a state
@@ -81,7 +82,7 @@ class _Task:
             warnings.simplefilter("ignore")  # one of each sample would be thousands
             return simulate(scene, q, v, self.duration or 0.0, **self.options)
 
-    def _row(self, index: int, numbers: NDArray[np.float64]) -> dict[str, Any]:
+    def _row(self, index: int, numbers: Array) -> dict[str, Any]:
         """Return the row of a sample; one that raises an error has its name and message."""
         try:
             trajectory = self.trajectory(numbers)
@@ -94,7 +95,7 @@ class _Task:
             return {"status": type(error).__name__, "message": str(error)}
         return {"status": "OK", "message": "", **row}
 
-    def _impacts(self, drawn: NDArray[np.float64]) -> Columns:
+    def _impacts(self, drawn: Array) -> Columns:
         """Return the rows of single impacts, which are solved in one call."""
         scene = self.sampling.scene
         q, v = self.sampling.states(drawn)

@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc, t
 
 from .. import checks
 from .._numeric.tolerances import HALF_DIGITS
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import choice, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..scene._kernels.tolerances import RTOL
@@ -110,7 +110,7 @@ def fit(
     residual: Callable[[Array], Array],
     jacobian: Callable[[Array], Array],
     free: Mapping[str, tuple[float, float]],
-    group: NDArray[np.int64],
+    group: Integers,
     loss: str,
     reason: Callable[[str, Array], str],
     trial: Callable[[Array], Array] | None = None,
@@ -195,7 +195,7 @@ def with_covariance(
     free: Mapping[str, tuple[float, float]],
     residuals: Array,
     slopes: Array,
-    group: NDArray[np.int64],
+    group: Integers,
     loss: str,
     scale: float,
     reason: Callable[[str, Array], str],
@@ -233,7 +233,7 @@ def with_covariance(
 
 
 def _by_group(
-    slopes: Array, residuals: Array, rho: Callable[[Array], Array], scale: float, group: NDArray[np.int64]
+    slopes: Array, residuals: Array, rho: Callable[[Array], Array], scale: float, group: Integers
 ) -> tuple[Array, Array]:
     """Return the Hessians (G, p, p) and gradients (G, p) of the groups' parts of the cost. (I3)"""
     z = (residuals / scale) ** 2
@@ -298,7 +298,7 @@ def _unidentified(
     return tuple(sentences)
 
 
-def group_numbers(group: Any, count: int) -> NDArray[np.int64]:
+def group_numbers(group: Any, count: int) -> Integers:
     """Return the index of the group of each row; None: each row is a group of its own.
 
     Raises:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import choice, coefficient, finite_array
 from ..contact_space.batch import BatchSolution, solve_impacts
 from ..contact_space.laws import LAWS
@@ -148,9 +148,7 @@ def identify(
     return _fitted(rows, bounds, numbers, loss)
 
 
-def _fitted(
-    rows: _Rows, bounds: dict[str, tuple[float, float]], group: NDArray[np.int64], loss: str
-) -> Identified:
+def _fitted(rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers, loss: str) -> Identified:
     """Return the fit of rows in contact space."""
     names = list(bounds)
     stiffened = [j for j, name in enumerate(names) if name in _stiffened(bounds)]

@@ -8,11 +8,10 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import sqrtm
 from scipy.optimize import Bounds, minimize
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import choice, in_short, truth_value
 from ..errors import InputError
 from ..scene.scene import Scene
@@ -171,7 +170,7 @@ def _some(starts: list[Start], most: int) -> list[Start]:
     return starts[:: -(-len(starts) // most)]
 
 
-def _groups(starts: list[Start]) -> NDArray[np.int64]:
+def _groups(starts: list[Start]) -> Integers:
     return group_numbers([start.label for start in starts], len(starts))
 
 

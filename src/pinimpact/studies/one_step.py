@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._numeric.tolerances import HALF_DIGITS
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..status import Flag, Status
 
 ONE_STEP = ("moreau", "convex")
@@ -38,8 +37,8 @@ class OneStepSolution(NamedTuple):
 
     velocity: Array
     impulse: Array
-    status: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    status: Integers
+    flags: Integers
     derivatives: OneStepSlopes
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..checks import above_zero, as_tuple, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..scene.scene import Scene
@@ -179,7 +179,7 @@ def _noise(poses: list[Poses], body: Body, clearance: float) -> Array:
     """
     squares = []
     for one in poses:
-        clear: NDArray[np.bool_] = np.all(one.gaps > clearance, axis=1)
+        clear: Bools = np.all(one.gaps > clearance, axis=1)
         stop = len(clear) if clear.all() else int(np.argmin(clear))
         if stop >= FRAMES:
             residuals = fit_flight(*one.part(slice(stop)), one.t[stop - 1], body).residuals

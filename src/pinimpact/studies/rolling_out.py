@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..checks import truth_value
 from ..errors import InputError
 from ..robot.matrices import contact_geometry
@@ -132,7 +131,7 @@ def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[St
 
 
 def differences(
-    scene: Scene, start: Start, frames: NDArray[np.int64] | slice = slice(None), **options: Any
+    scene: Scene, start: Start, frames: Integers | slice = slice(None), **options: Any
 ) -> tuple[Array, Array]:
     """Return simulated less recorded centres of mass and rotations (n, 3), in the world, at some frames."""
     t, lever = start.t[frames], Body.of(scene.model).lever

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..errors import InputError
 from ..robot.matrices import ContactMatrices
 from ..robot.names import mobilities, single_joints
@@ -30,7 +29,7 @@ class StiffJoints(NamedTuple):
     mass: Array
     jacobian: Array
     root: Array
-    owner: NDArray[np.int64]
+    owner: Integers
     mobility: Array
 
     def matrices(self, x: Array) -> tuple[Array, Array, Array, Array]:

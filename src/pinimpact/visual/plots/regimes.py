@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...arrays import Array
+from ...arrays import Array, Bools, Integers
 from ...checks import in_short
 from ...contact_space.batch import BatchSolution, solve_impacts
 from ...contact_space.problem import ImpactProblem
@@ -130,9 +129,7 @@ def regime_map(
     return ax
 
 
-def classified(
-    status: NDArray[np.int64], flags: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], list[NDArray[np.bool_]]]:
+def classified(status: Integers, flags: Integers) -> tuple[Integers, list[Bools]]:
     """Return the index in `REGIMES` of each impact, and where each of `MARKED` applies.
 
     Args:
