@@ -29,6 +29,7 @@ from ._kernels import (
     smooth_motion,
     step_dop853,
     step_radau,
+    stiff_drives,
 )
 from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
@@ -307,6 +308,12 @@ class SceneDynamics:
         pace = np.abs(work.stage_rates[0, nv : 2 * nv]) / (atol + rtol * np.maximum(1.0, np.abs(work.v0)))
         fastest = float(pace.max(initial=0.0)) * rtol
         return 0.01 / fastest if fastest > 0.0 else 0.01
+
+    def resolving_length(self) -> float:
+        """Return the longest step that resolves what settles fast, which implicit steps need not."""
+        work = self.work
+        rate = max(work.slip_stiffness / step_radau.STIFF, work.drive_rate / stiff_drives.STIFF)
+        return 1.0 / rate if rate > 0.0 else math.inf
 
     def dense_step(self, t: float, h: float, q: Array, v: Array, w: Array) -> DenseStep:
         """Return the step last completed; it began at t in the state q, v, w."""

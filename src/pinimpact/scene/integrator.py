@@ -337,7 +337,7 @@ class Integrator:
                     natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                     # what settles within the step misses as much in one a little shorter
                     if error > UNCHANGED * before:
-                        natural = h = min(h, self._resolved())
+                        natural = h = min(h, self.dynamics.resolving_length())
                     before = error
                 continue
             if not self.instant.rims.jump(work.q0, work.q1):
@@ -348,12 +348,6 @@ class Integrator:
                     return trial, natural, directions
             state.rejected += 1
             h = 0.5 * trial
-
-    def _resolved(self) -> float:
-        """Return the longest step that resolves what settles fast, which implicit steps need not."""
-        work = self.work
-        rate = max(work.slip_stiffness / step_radau.STIFF, work.drive_rate / stiff_drives.STIFF)
-        return 1.0 / rate if rate > 0.0 else math.inf
 
     def _method(self, h: float) -> ModuleType:
         """Return the method for a step of a length [s]."""
