@@ -8,6 +8,8 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.elimination import largest_of
+from ..._numeric.tolerances import ROUNDING
 from .contact_forces import FREE, HELD, SLIP, STICK
 from .force_evaluation import places_of_contacts
 from .lie_charts import chart_rate
@@ -75,13 +77,14 @@ def joint_motion(work, h, v, softened, found, dried, powers, coefficients):
 
 
 @inlined
-def contact_motion(work, h, still, rows, found, powers, forces):
+def contact_motion(work, h, still, rounding, rows, found, powers, forces):
     """Fill the mean forces of contacts, their modes, and the powers, times h, of friction and of surfaces.
 
     Args:
         work: The workspace; modes of contacts without impulse stay.
         h: Length of the step [s].
         still: Speed up to which nothing slips [m/s].
+        rounding: Impulse up to which nothing is closed [N s].
         rows: The `StepRows`.
         found: The `StepResult`.
         powers: (2, 2) takes those at the start and at the end.
@@ -108,7 +111,7 @@ def contact_motion(work, h, still, rows, found, powers, forces):
         for e in range(2):
             powers[0, 0] += impulse[a + e] * u_start[a + e]
             powers[0, 1] += impulse[a + e] * u_end[a + e]
-        if impulse[a + 2] > 0.0:
+        if impulse[a + 2] > rounding:
             slips = math.hypot(u_end[a], u_end[a + 1]) > still or work.friction[i] == 0.0
             modes[i] = SLIP if slips else STICK
 
@@ -140,7 +143,8 @@ def report_step(work, h, still, v, system, rows, found, coefficients, forces):
     free_modes(work, system.rests)
     scalar_modes(work, still, rows, found, dried)
     joint_motion(work, h, v, system.softened, found, dried, powers[:2], coefficients)
-    contact_motion(work, h, still, rows, found, powers[2:], forces)
+    rounding = ROUNDING * largest_of(impulse, 0)
+    contact_motion(work, h, still, rounding, rows, found, powers[2:], forces)
     for k in range(4):
         coefficients[0, 2 * nv + k] = 0.5 * (powers[k, 0] + powers[k, 1])
         coefficients[1, 2 * nv + k] = 0.5 * (powers[k, 0] - powers[k, 1])
