@@ -134,6 +134,30 @@ def test_gradients_of_a_robot_follow_its_coordinates(library, quadruped):
     assert gradients[0][3:7] @ q[3:7] == pytest.approx(0.0, abs=1e-9)  # along the quaternion nothing changes
 
 
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_arrays_of_an_accelerator_stay_there(library):
+    gpu = torch.cuda.is_available() if library == "torch" else jax.default_backend() == "gpu"
+    if not gpu:
+        pytest.skip("no accelerator")
+    functions, arrays = _functions(library), _problems(4, 9)
+    exact = pinimpact.solve_impacts(*arrays, derivatives=True)
+    if library == "torch":
+        given = [torch.tensor(a, device="cuda", requires_grad=True) for a in arrays]
+        after, _ = functions.solve_impacts(*given)
+        after.sum().backward()
+        slope = given[1].grad
+        assert after.is_cuda
+        assert slope.is_cuda
+        after, slope = after.detach().cpu(), slope.cpu()
+    else:
+        given = [jnp.asarray(a) for a in arrays]
+        of = jax.jit(lambda v: functions.solve_impacts(given[0], v, *given[2:])[0])
+        after, slope = of(given[1]), jax.jit(jax.grad(lambda v: of(v).sum()))(given[1])
+        assert after.devices() == slope.devices() == given[1].devices()
+    np.testing.assert_array_equal(after, exact.velocity)
+    np.testing.assert_allclose(slope, exact.derivatives.dv_dv.sum(axis=1), rtol=0, atol=1e-14)
+
+
 @pytest.mark.skipif(jax is None, reason="jax is not installed")
 def test_jax_transforms_both_ways_and_in_batches():
     functions = _functions("jax")
