@@ -12,8 +12,11 @@ from .tolerances import RANK
 
 
 @inlined
-def factor(matrix, order, lower):
-    """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank."""
+def factor(matrix, order, lower, least):
+    """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank.
+
+    A pivot is taken as zero up to a part `least` of the largest.
+    """
     size = len(matrix)
     rest = np.empty(size)
     largest = 0.0
@@ -28,7 +31,7 @@ def factor(matrix, order, lower):
                 best = a
         order[k], order[best] = order[best], order[k]
         p = order[k]
-        if not rest[p] > RANK * largest:
+        if not rest[p] > least * largest:
             return k
         pivot = math.sqrt(rest[p])
         lower[p, k] = pivot
@@ -52,7 +55,7 @@ def solve_definite(matrix, target, solution):
     """
     size = len(target)
     lower, order, part = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty(size)
-    if factor(matrix, order, lower) < size:
+    if factor(matrix, order, lower, RANK) < size:
         return False
     for k in range(size):
         i = order[k]

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import ROUNDING, TINY
 from .propagation_course import follow
 from .propagation_series import ORDER, new_series
@@ -138,39 +139,20 @@ def _make_consistent(w, v):
         v: (m,) velocities, changed where they are dependent to `SLOW`.
     """
     m = len(v)
-    order, left = np.arange(m), np.empty(m)
-    lower, y = np.zeros((m, m)), np.empty(m)
-    largest = 0.0
-    for i in range(m):
-        left[i] = w[i, i]
-        largest = max(largest, left[i])
+    order, lower, y = np.empty(m, dtype=np.int64), np.zeros((m, m)), np.empty(m)
+    rank = factor(w, order, lower, NEGLIGIBLE)
     for k in range(m):
-        place = k
-        for i in range(k + 1, m):
-            if left[order[i]] > left[order[place]]:
-                place = i
-        order[k], order[place] = order[place], order[k]
-        pivot = order[k]
-        if left[pivot] <= NEGLIGIBLE * largest:
-            for i in range(k, m):
-                made, row = 0.0, order[i]
-                for b in range(k):
-                    made += lower[row, b] * y[b]
-                if row % 3 != 2 and w[row, row] > 0.0 and abs(made - v[row]) <= SLOW:
-                    v[row] = made
-            return
-        root = math.sqrt(left[pivot])
-        y[k] = v[pivot]
-        for b in range(k):
-            y[k] -= lower[pivot, b] * y[b]
-        y[k] /= root
-        for i in range(k + 1, m):
-            row = order[i]
-            total = w[row, pivot]
+        row, made = order[k], 0.0
+        if k < rank:
+            y[k] = v[row]
             for b in range(k):
-                total -= lower[row, b] * lower[pivot, b]
-            lower[row, k] = total / root
-            left[row] -= lower[row, k] * lower[row, k]
+                y[k] -= lower[row, b] * y[b]
+            y[k] /= lower[row, k]
+            continue
+        for b in range(rank):
+            made += lower[row, b] * y[b]
+        if row % 3 != 2 and w[row, row] > 0.0 and abs(made - v[row]) <= SLOW:
+            v[row] = made
 
 
 @inlined

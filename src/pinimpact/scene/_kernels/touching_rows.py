@@ -15,7 +15,7 @@ from ..._compile.jit import external, inlined
 from ..._numeric.coulomb_problem import USABLE, scale
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.semidefinite import factor
-from ..._numeric.tolerances import ROUNDOFF
+from ..._numeric.tolerances import RANK, ROUNDOFF
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
@@ -135,7 +135,7 @@ def keep_forces(work, what, force):
 def determines_forces(delassus):
     """Return whether no forces but one set have the same effects."""
     size = len(delassus)
-    rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)))
+    rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)), RANK)
     stiffest = 0.0
     for a in range(size):
         stiffest = max(stiffest, delassus[a, a])
