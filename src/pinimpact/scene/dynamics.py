@@ -310,10 +310,12 @@ class SceneDynamics:
         return 0.01 / fastest if fastest > 0.0 else 0.01
 
     def resolving_length(self) -> float:
-        """Return the longest step that resolves what settles fast, which implicit steps need not."""
-        work = self.work
-        rate = max(work.slip_stiffness / step_radau.STIFF, work.drive_rate / stiff_drives.STIFF)
-        return 1.0 / rate if rate > 0.0 else math.inf
+        """Return the longest step that resolves how drives settle, which implicit steps need not.
+
+        Directions of slip do not count: they may settle in no time, and implicit steps have them as unknowns.
+        """
+        rate = self.work.drive_rate
+        return stiff_drives.STIFF / rate if rate > 0.0 else math.inf
 
     def dense_step(self, t: float, h: float, q: Array, v: Array, w: Array) -> DenseStep:
         """Return the step last completed; it began at t in the state q, v, w."""
