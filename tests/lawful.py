@@ -85,8 +85,10 @@ def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
     for k in np.flatnonzero((t[1:] == t[:-1]) & (v[1:] != v[:-1]).any(axis=1)):
         began = [m for m in trajectory.modes if m.start == t[k]]
         crossed = any(one.start <= t[k] <= one.end for one in trajectory.stepped)
+        twice = np.count_nonzero(t == t[k]) > 2  # modes that began and ended there are in no list
         if (
             crossed
+            or twice
             or t[k] in struck
             or any(all(m.end != t[k] or m.source != b.source for m in trajectory.modes) for b in began)
         ):
