@@ -298,7 +298,8 @@ class Integrator:
             return natural
         state.cut_short = trial == stop - t
         self._complete(step, stop if state.cut_short else step.end)
-        return trial * work.growth if not state.cut_short else max(trial * work.growth, natural)
+        longer = trial * work.growth
+        return max(longer, natural) if state.cut_short else longer
 
     def _compute(self, h: float, left: float) -> tuple[float, float, Array | None] | IrregularMotionError:
         """Compute a step whose error is small enough.

@@ -64,6 +64,7 @@ class SceneLayout:
         self._spare_data: list[Any] = []
         self._damping: _Last[bytes, float] = _Last()
         self._gyration: _Last[bytes, Array] = _Last()
+        self._metres: _Last[bytes, Array] = _Last()
         self._tables: _Last[tuple[Contact, ...], ContactTables] = _Last()
         self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
 
@@ -95,13 +96,17 @@ class SceneLayout:
 
     @property
     def metres_per_unit(self) -> Array:
-        """(nv,) The speed that a unit of each velocity means, see `joint_metres`."""
-        return metres_per_unit(self._model, self._radii, self.extent)
+        """(nv,) The speed that a unit of each velocity means, see `joint_metres`; not to be changed."""
+        return self._metres.of(
+            self._inertias(), lambda _: metres_per_unit(self._model, self._radii, self.extent)
+        )
 
     @property
     def _radii(self) -> Array:
-        inertias = [inertia.toDynamicParameters() for inertia in self._model.inertias]
-        return self._gyration.of(np.concatenate(inertias).tobytes(), lambda _: gyration(self._model))
+        return self._gyration.of(self._inertias(), lambda _: gyration(self._model))
+
+    def _inertias(self) -> bytes:
+        return np.concatenate([one.toDynamicParameters() for one in self._model.inertias]).tobytes()
 
     @cached_property
     def unreachable(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc, t
 
 from .. import checks
-from .._numeric.tolerances import HALF_DIGITS
+from .._numeric.tolerances import HALF_DIGITS, LITTLE
 from ..arrays import Array, Integers
 from ..checks import choice, finite_array, in_short, real_numbers
 from ..errors import InputError
@@ -20,9 +20,6 @@ from ..scene._kernels.tolerances import RTOL
 
 STARTS = 16
 """Points of a Halton sequence in the bounds, of which the one with the least cost is the start."""
-
-BETTER = 1e-3
-"""Part by which the cost is to be less elsewhere for a fit to begin again there."""
 
 ROBUST_SCALE = 3.0
 """Standard deviations beyond which residuals have less weight; normal ones keep .99 of their information."""
@@ -172,7 +169,7 @@ def best_start(free: Mapping[str, tuple[float, float]], residual: Callable[[Arra
 def better_along_a_parameter(
     x: Array, free: Mapping[str, tuple[float, float]], residual: Callable[[Array], Array]
 ) -> Array | None:
-    """Return the best of points that differ from x in one parameter; None if that is no better than x.
+    """Return the best of points that differ from x in one parameter; None if that is little better than x.
 
     Where a parameter has no effect, such as more friction where all impacts stick, a fit stays at its start.
     """
@@ -182,7 +179,7 @@ def better_along_a_parameter(
         others[j * STARTS : (j + 1) * STARTS, j] = low + parts * (high - low)
     costs = [float((residual(other) ** 2).sum()) for other in (x, *others)]
     best = int(np.argmin(costs))
-    return others[best - 1] if costs[best] < (1.0 - BETTER) * costs[0] else None
+    return others[best - 1] if costs[best] < (1.0 - LITTLE) * costs[0] else None
 
 
 def robust_scale(residuals: Array) -> float:
