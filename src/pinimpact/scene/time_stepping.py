@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.augmented_newton import VelocityProblem
+from .._numeric.tolerances import HALF_DIGITS, LITTLE, NOISE
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
 from ..robot.contact import Contact
@@ -26,7 +27,7 @@ from ._kernels.midpoint_step import midpoint_step, near_rows, rows_at
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
-from ._kernels.tolerances import STEPS_SLACK, STEPS_TOUCH
+from ._kernels.tolerances import STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -36,32 +37,14 @@ from .rest import Rest
 from .step_taken import Removal, StepTaken
 from .switched_off import locked_joints
 
-TOGETHER = 1e-2
-"""Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
-
 MOST_IMPACTS = 20
 """Instants with impacts in a step; what closes after that does so without restitution."""
-
-ROUNDING = 1e-13
-"""Part of the largest entry of M by which those of a constant one differ."""
-
-SHORTEST = 1e-9
-"""Part of a step below which what is left of it is none."""
-
-STILL = 1e-7
-"""Part of the resting speed below which slip is reported as stick: what the contact problem leaves."""
 
 FAILED = 0.1
 """What the contact problem may miss at the most, in parts of its velocities: more is no answer."""
 
-ROUGH = 1e-6
-"""Part of an overlap that may be left when it is taken away."""
-
 MOST_REMOVALS = 10
 """Displacements at the end of a step; what overlaps after that is left to the next step."""
-
-REST = 1e-5
-"""Part of the resting speed up to which velocities are none: what the contact problem leaves at rest."""
 
 _NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
 
@@ -83,7 +66,7 @@ class TimeStepping(Integrator):
         self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
-        self._still = REST * (work.resting_speed or 1.0)
+        self._still = STEPS_STILL * (work.resting_speed or 1.0)
         self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
@@ -130,7 +113,7 @@ class TimeStepping(Integrator):
         # what rests needs no steps, but functions of the user's are to be asked
         longest = math.inf if self._rest.complete and not self.events else self._dt
         left, struck = min(longest, stop - state.t), 0
-        none = SHORTEST * min(left, self._dt)
+        none = HALF_DIGITS * min(left, self._dt)
         if stop - state.t - left < none:
             left = stop - state.t
         end = state.t + left
@@ -178,7 +161,7 @@ class TimeStepping(Integrator):
         if closing.any():
             self._sample()
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
-            within = TOGETHER * h * float(rates.max())
+            within = STEPS_TOGETHER * h * float(rates.max())
             if step.taken is not None:
                 touches = closing & (_gaps_at(share, h, rows, found) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
@@ -352,7 +335,7 @@ class TimeStepping(Integrator):
         contacts = np.concatenate([rows.contacts, rows.held])
         world, points = np.zeros((2, len(contacts), 3))
         mean = MeanForces(world, points, np.empty((len(contacts), 3, 3)), np.zeros(work.nv))
-        still = STILL * (work.resting_speed or 1.0)
+        still = STEPS_STILL * (work.resting_speed or 1.0)
         acts = report_step(work, h, still, state.v, system, rows, found, coefficients, mean)
         step = DenseStep(t, h, state.q, state.v, state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
@@ -432,7 +415,7 @@ class TimeStepping(Integrator):
         matrices = self._mass, self._inverse, self._start
         problem = VelocityProblem(*matrices, *jacobian, free, _NONE, lower, upper, _NONE)
         every = np.ones(len(free), dtype=bool)
-        parts = math.sqrt(ROUGH), ROUGH  # in two iterations
+        parts = LITTLE, LITTLE**2  # in two iterations
         step_impulses(problem, every, self._tree, *parts, nothing.copy(), correction, pushes)
         return correction, pushes
 
@@ -491,4 +474,4 @@ def _has_constant_mass(model: pin.Model, data: pin.Data) -> bool:
     q = pin.neutral(model)
     first = mass_matrix(model, data, q)
     second = mass_matrix(model, data, pin.integrate(model, q, np.linspace(0.3, 1.1, model.nv)))
-    return bool(np.abs(second - first).max(initial=0.0) <= ROUNDING * np.abs(first).max(initial=0.0))
+    return bool(np.abs(second - first).max(initial=0.0) <= NOISE * np.abs(first).max(initial=0.0))

@@ -100,6 +100,13 @@ STEPS_SLACK = 4.0
 """What gaps may close by within a time step beside their rates, in parts of h² g. Within a step nothing keeps
 what closes from overlapping by as much; its end takes it away."""
 
+STEPS_TOGETHER = 1e-2
+"""Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
+
+STEPS_STILL = 1e-5
+"""Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
+leaves at rest."""
+
 TURN = 1e-2
 """Angle [rad] below which functions of it are series, whose next terms are below rounding."""
 
