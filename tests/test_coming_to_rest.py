@@ -16,10 +16,12 @@ CONTACT = 3
 
 
 @numba.njit
-def come_to_rest(minverse, rows, start, rests, against, moves, first, error, on, v):
+def come_to_rest(minverse, rows, start, rests, against, moves, first, error, metres, on, v):
     """`come_to_rest`, which is called from kernels only; slip turns back however slowly."""
     limits = error, 0.0, np.inf
-    return coming_to_rest.come_to_rest(minverse, rows, start, rests, against, moves, first, *limits, on, v)
+    return coming_to_rest.come_to_rest(
+        minverse, rows, start, rests, against, moves, first, *limits, metres, on, v
+    )
 
 
 def projected(inertia, rows, v):
@@ -28,11 +30,11 @@ def projected(inertia, rows, v):
     return v - response @ np.linalg.lstsq(rows @ response, rows @ v, rcond=1e-13)[0]
 
 
-def settled(inertia, rows, v, rests, against, moves, first, error):
+def settled(inertia, rows, v, rests, against, moves, first, error, metres=None):
     """Return the velocity after `come_to_rest`, what rests then, what goes on, and the energy gained."""
     after, rests, on = v.copy(), rests.copy(), np.zeros(len(rows), dtype=np.int64)
     inverse = np.linalg.inv(inertia)
-    arguments = against, moves, first, error, on, after
+    arguments = against, moves, first, error, np.ones(len(v)) if metres is None else metres, on, after
     energy, _ = come_to_rest((inverse + inverse.T) / 2.0, rows, rows @ v, rests, *arguments)
     return after, rests, on, energy
 
@@ -74,6 +76,23 @@ def test_a_joint_whose_row_hardly_differs_from_those_at_rest_goes_as_they_have_i
     assert on.tolist() == [0, 0, 0, way]
     assert not resting[3]
     assert after == pytest.approx(v, abs=1e-15)
+
+
+@pytest.mark.parametrize("unit", [2.0**-20, 2.0**20])
+@pytest.mark.parametrize("error", [1e-3, 1e3])
+def test_what_stops_does_not_depend_on_the_units_of_velocities(unit, error):
+    """The rod of above, whose own velocity has a unit of so many metres: it turns at the end of a lever."""
+    metres = np.array([1.0, unit, 1.0, 1.0])
+    rows = np.array([[1.0, 1e-5, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0], [1.0, 0, 0, 0]])
+    v = np.array([1e-5, -1.0, 0.0, 0.0])
+    rests, against = np.array([True, True, True, False]), np.array([0.0, 0.0, 0.0, 1.0])
+    one, resting, on, _ = settled(np.eye(4), rows, v, rests, against, ~rests, CONTACT, error)
+    other = settled(
+        np.diag(metres**2), rows * metres, v / metres, rests, against, ~rests, CONTACT, error, metres
+    )
+    assert other[0] * metres == pytest.approx(one, rel=1e-12, abs=1e-18)
+    assert (other[1] == resting).all()
+    assert (other[2] == on).all()
 
 
 def test_what_throws_a_joint_by_its_rest_goes_on_instead():

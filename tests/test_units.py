@@ -109,6 +109,20 @@ def test_a_joint_with_dry_friction_sticks_at_the_speed_of_what_it_moves(length):
         assert (trajectory.v[-1, 0] < 1e-30) == (speed < stick)
 
 
+@pytest.mark.parametrize("spin", [0.0, 1e3])
+def test_a_slow_arrival_is_an_impact_beside_a_small_wheel_that_spins_fast(spin):
+    """At 5 µm/s, of which a wheel of 1 mm at 1 m/s leaves 10 nm/s unknown."""
+    model = pin.Model()
+    for kind, radius in ((pin.JointModelPZ(), 0.1), (pin.JointModelRZ(), 1e-3)):
+        joint = model.addJoint(0, kind, pin.SE3.Identity(), kind.shortname())
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", 1, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    scene = Scene(model, [Contact("tip", Plane())])
+    trajectory = pinimpact.simulate(scene, [0.0, 0.0], [-5e-6, spin], 1e-3)
+    assert [hit.source for hit in trajectory.impacts] == ["tip on plane"]
+
+
 def test_what_turns_slowly_far_out_does_not_rest_in_time_steps():
     model = pin.Model()
     slide = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")

@@ -241,9 +241,9 @@ class Instant:
         return self._take_over_group(group)
 
     def error(self, v: Array) -> float:
-        """Return the error of a step in a velocity (nv,)."""
-        work, speeds = self.dynamics.work, v.tolist()
-        return float(work.atol + work.rtol * max(max(speeds), -min(speeds)))
+        """Return the error of a step in a velocity (nv,) [m/s]."""
+        work = self.dynamics.work
+        return float(work.atol + work.rtol * np.abs(work.joint_metres * v).max(initial=0.0))
 
     def _closed(self, chosen: Integers) -> list[int]:
         """Return those of contacts and limits that are chosen and not held."""

@@ -84,8 +84,9 @@ class Progress:
         if count <= MAX_STALLED:
             return None
         covered, t = state.t - then, state.t
-        moved = float(np.abs(state.v - velocity).max(initial=0.0))
-        fastest = float(np.abs(velocity).max(initial=0.0))
+        metres = self._instant.dynamics.work.joint_metres
+        moved = float(np.abs(metres * (state.v - velocity)).max(initial=0.0))
+        fastest = float(np.abs(metres * velocity).max(initial=0.0))
         # at rest velocities change by errors alone, which are small beside those of the scene's scales
         stays = covered < PROGRESS * self._time_scale and moved <= PROGRESS * max(fastest, self._speed)
         if self._jumps and stays and ended(self._instant, count) < BY_EVENTS * count:
@@ -113,7 +114,7 @@ class Progress:
         drift = self._instant.dynamics.work.drift_at_end
         if drift > DRIFTED * self._tolerance:
             raise IrregularMotionError(
-                f"contacts: the constraint drift reaches {drift:.3g} m or rad in a step at "
+                f"contacts: the constraint drift reaches {drift:.3g} m or m/s in a step at "
                 f"t = {self._state.t:.6g} s, so that the conditions of their modes contradict each other"
             )
 

@@ -103,7 +103,7 @@ def close_held(work):
 @declared(SceneWorkspace, FLOATS, int, FLOAT_ROWS, FLOATS)
 @external
 def active_rows(work, v, which, rows, speeds):
-    """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
+    """Fill rows (m, nv), zero before, and their velocities [m/s] of what is closed; return how many.
 
     Args:
         work: The workspace, at the state last evaluated.
@@ -120,8 +120,8 @@ def active_rows(work, v, which, rows, speeds):
                 speeds[total] = velocity[k, d]
                 total += 1
     for j in work.scalar_velocity:
-        rows[total, j] = 1.0
-        speeds[total] = v[j]
+        rows[total, j] = work.joint_metres[j]
+        speeds[total] = work.joint_metres[j] * v[j]
         total += 1
     return total
 

@@ -8,30 +8,33 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, dot
 from .active_set import stop_along
+from .slip import fastest_of
 from .tolerances import ROUNDING
 
 
-@declared(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, INTEGERS, FLOATS)
+@declared(
+    FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, FLOATS, INTEGERS, FLOATS
+)
 @external
-def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, on, v):
+def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, metres, on, v):
     """Change the velocity as little as possible so that sticking contacts and held joints stop. (11.9)
 
     Args:
         minverse: (nv, nv) M⁻¹.
-        rows: (m, nv) rows of velocities.
-        start: (m,) these velocities.
+        rows: (m, nv) rows of velocities, in metres also those of joints.
+        start: (m,) these velocities [m/s].
         rests: (m,) which of them vanish; those that would begin against their friction are added.
         against: (m,) the sign of a velocity against its force where slip or sliding begins, else zero.
         moves: (m,) which of the stopping rows belong to slip that has not ended, both tangential ones of a
             contact.
         first: The row from which on they are those of joints.
-        error: How much of any velocity it may take to stop a joint that hardly moves.
-        least: The speed up to which slip does not turn back.
-        most: The speed up to which a joint may be held; a faster one has been accelerated by impulses.
+        error: How much of any velocity it may take to stop a joint that hardly moves [m/s].
+        least: The speed up to which slip does not turn back [m/s].
+        most: The speed up to which a joint may be held [m/s]; a faster one has been accelerated by impulses.
+        metres: (nv,) per unit of each velocity, see `joint_metres`.
         on: (m,) takes the sign of the velocity of a joint that is not to stop, one for rows of such contacts.
         v: (nv,) the velocity, which is changed.
 
@@ -41,7 +44,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
     n, size = len(v), len(rows)
     before, way, speeds = v.copy(), np.empty(n), np.empty(size)
     resting, energy, fastest, again = rests, 0.0, 0.0, True
-    rounding = ROUNDING * largest_of(v, 0)
+    rounding = ROUNDING * fastest_of(metres, v)
     while again:
         assign(v, before)
         resting, asked = rests.copy(), rests.copy()
@@ -67,7 +70,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
             apply(rows, way, speeds)
             stop_chosen(minverse, rows, resting, speeds, way.copy(), 0.0, way)
             rate = dot(rows[a], way)
-            much = largest_of(way, 0) * slowest > error * rate
+            much = fastest_of(metres, way) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
                 accelerated = slowest > 2.0 * against[a] * start[a]
                 if not (

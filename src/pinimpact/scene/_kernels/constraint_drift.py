@@ -29,7 +29,7 @@ def constraint_drift(work, v):
         if mode[k] != SLIP:
             worst = max(worst, abs(velocity[k, 0]), abs(velocity[k, 1]))
     for j in work.scalar_velocity:
-        worst = max(worst, abs(v[j]))
+        worst = max(worst, work.joint_metres[j] * abs(v[j]))
     return worst
 
 
@@ -50,7 +50,7 @@ def correct_constraint_drift(work, t, q, v):
         work.contact_gap,
         work.active_rest_gap,
     )
-    closed = work.modes[work.contacts :][: work.limits]
+    closed, metres = work.modes[work.contacts :][: work.limits], work.joint_metres
     n, nc, ns, nl = len(v), work.active_contacts, work.active_scalars, work.limits
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + nl, n))
@@ -64,8 +64,8 @@ def correct_constraint_drift(work, t, q, v):
         total += 1
     for m in range(nl):
         if closed[m] != 0:
-            rows[total, index_v[m]] = 1.0
-            off[total] = q[index_q[m]] - bound[m]
+            rows[total, index_v[m]] = metres[index_v[m]]
+            off[total] = metres[index_v[m]] * (q[index_q[m]] - bound[m])
             total += 1
     if total > 0 and not work.callback_failed:
         xi, start = np.zeros(n), q.copy()

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign, flags, nonzero
 from .acting_forces import driven_in
 from .active_set import close, stop_along
@@ -20,7 +19,7 @@ from .approach import PRESSED, SLIDES, TOUCHES
 from .coming_to_rest import come_to_rest
 from .contact_forces import FREE, HELD, SLIP, STICK, delassus_of_rows
 from .dynamics import evaluate_without_contacts, invert_mass_matrix, set_state
-from .slip import CERTAIN, behind
+from .slip import CERTAIN, behind, error_of_step, fastest_of
 from .tolerances import AT_BOUND, STILL
 from .touching_rows import (
     determines_forces,
@@ -65,7 +64,7 @@ class Choice(NamedTuple):
 @jit
 def set_modes(work, t, q, v, slow):
     """Set the modes of what touches without bouncing (`slow`, see `approach`); results as of `find_modes`."""
-    dry, sliding = work.dry_friction, work.sliding_friction
+    dry, sliding, metres = work.dry_friction, work.sliding_friction, work.joint_metres
     n, touching = len(v), len(slow)
     candidates, modes = np.zeros(touching + n, dtype=np.int64), np.zeros(touching + n, dtype=np.int64)
     for i in range(touching):
@@ -78,8 +77,8 @@ def set_modes(work, t, q, v, slow):
     while tried < ROUNDS and stopped > STILL * work.stick_speed:
         for j in range(n):  # stopping one may have set other joints in motion
             if dry[j] > 0.0:
-                slow_enough = work.joint_metres[j] * abs(v[j]) <= work.stick_speed
-                moves = sliding[j] * v[j] > dry[j] * certain
+                slow_enough = metres[j] * abs(v[j]) <= work.stick_speed
+                moves = sliding[j] * metres[j] * v[j] > dry[j] * certain
                 rests = slow_enough and not moves and dragged[j] == 0
                 held = work.modes[work.contacts + work.limits + j] != 0
                 candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
@@ -100,7 +99,7 @@ def set_modes(work, t, q, v, slow):
                 drags |= rejected[i] != 0
             elif rejected[i] != 0 and modes[i] == FREE:
                 candidates[i], released = 0 if rejected[i] == SEPARATES else SLIDES, True
-        much = drags or (last and largest_of(v - before, 0) > CERTAIN * error)
+        much = drags or (last and fastest_of(metres, v - before) > CERTAIN * error)
         if not released and much and certain > error:
             # sticking that changes other velocities by more than the error of a step is rejected (11.8)
             certain, released = error, True
@@ -244,9 +243,10 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     """Stop the rows that come to rest; see `come_to_rest`, whose values it returns.
 
     Args:
-        what: What is `Touching`; rows of contacts that begin to slip turn to their directions.
+        what: What is `Touching`; rows of contacts that begin to slip turn to their directions, and those of
+            joints become metres.
         candidates: As in `find_modes`.
-        start: (m,) velocities of the rows, which turn likewise.
+        start: (m,) velocities of the rows [m/s], which turn likewise.
         stopped: (m,) which of them vanish.
         against: (m,) the sign of the force on a joint that starts moving, else zero.
         chosen: The `Choice`, whose rejected candidates are added.
@@ -264,11 +264,12 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
             turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
             stopped[b], against[b] = False, -1.0
     for m in range(len(joints)):
+        rows[closed + m, scalars[m]] = work.joint_metres[scalars[m]]
         touches = candidates[work.contacts + joints[m]] == TOUCHES
         moves[closed + m] = joints[m] >= work.limits and touches
     limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed
     gained, fastest = come_to_rest(
-        work.minverse, rows, start, stopped, against, moves, closed, *limits, on, v
+        work.minverse, rows, start, stopped, against, moves, closed, *limits, work.joint_metres, on, v
     )
     for k in range(len(contacts)):
         if on[3 * k] != 0 or on[3 * k + 1] != 0:
@@ -278,12 +279,6 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
         if stopped[closed + m] and against[closed + m] != 0.0:
             v[scalars[m]] = 0.0  # not even a rounding error begins against the force
     return gained, fastest
-
-
-@inlined
-def error_of_step(work, v):
-    """Return the error of a step, in a velocity (nv,)."""
-    return work.atol + work.rtol * largest_of(v, 0)
 
 
 @inlined

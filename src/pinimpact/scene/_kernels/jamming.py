@@ -37,7 +37,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     if work.callback_failed:
         return False
     force, scalar_force, minverse = work.contact_force, work.scalar_force, work.minverse
-    closed, n = 3 * len(mode), len(v)
+    closed, n, scalar, metres = 3 * len(mode), len(v), work.scalar_velocity, work.joint_metres
     size = closed + len(scalar_force)
     rows = np.zeros((size, n))
     active_rows(work, v, ALL, rows, np.empty(size))
@@ -47,7 +47,9 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     for k in range(len(mode)):
         total = 0.0
         for a in range(size):
-            push = force[a // 3, a % 3] if a < closed else scalar_force[a - closed]
+            push = (
+                force[a // 3, a % 3] if a < closed else scalar_force[a - closed] / metres[scalar[a - closed]]
+            )
             part = delassus[3 * k + 2, a] * push
             total += part
             whole = max(whole, abs(part))

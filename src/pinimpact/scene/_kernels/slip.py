@@ -17,12 +17,24 @@ CERTAIN = 10.0
 
 
 @inlined
+def fastest_of(metres, v):
+    """Return the largest of velocities v (nv,) [m/s], with metres (nv,) per unit, see `joint_metres`."""
+    fastest = 0.0
+    for j in range(len(v)):
+        fastest = max(fastest, metres[j] * abs(v[j]))
+    return fastest
+
+
+@inlined
+def error_of_step(work, v):
+    """Return the error of a step in a velocity (nv,) [m/s]."""
+    return work.atol + work.rtol * fastest_of(work.joint_metres, v)
+
+
+@inlined
 def certain(work):
     """Return the speed above which slip goes on, by the error of a step from `v0`."""
-    fastest = 0.0
-    for speed in work.v0:
-        fastest = max(fastest, abs(speed))
-    return CERTAIN * (work.atol + work.rtol * fastest)
+    return CERTAIN * error_of_step(work, work.v0)
 
 
 @inlined

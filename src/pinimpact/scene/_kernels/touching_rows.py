@@ -175,14 +175,15 @@ def resulting_accelerations(delassus, free, force, contacts, unique, pace):
 
 @inlined
 def speeds_of_rows(work, what, v, start):
-    """Fill the velocities (m,) of the rows; return the largest speed of what was active before."""
+    """Fill the velocities (m,) of the rows [m/s]; return the largest speed of what was active before."""
     contacts, closed, off = what.contacts, 3 * len(what.contacts), 0.0
     for a in range(len(start)):
         if a < closed:
             mode, start[a] = work.modes[contacts[a // 3]], what.velocity[a // 3, a % 3]
             was_active = mode != FREE and (a % 3 == 2 or mode != SLIP)
         else:
-            start[a] = v[what.scalars[a - closed]]
+            j = what.scalars[a - closed]
+            start[a] = work.joint_metres[j] * v[j]
             was_active = work.modes[work.contacts + what.joints[a - closed]] != 0
         if was_active:
             off = max(off, abs(start[a]))
