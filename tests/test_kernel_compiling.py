@@ -21,7 +21,7 @@ from rich.console import Console
 
 import pinimpact
 from pinimpact._compile import jit as decorators
-from pinimpact._compile import pool
+from pinimpact._compile import pool, portable
 from pinimpact._compile.borrowing import borrowed
 from pinimpact._compile.jit import external, inlined, jit
 from pinimpact._compile.waiting import reached
@@ -97,14 +97,13 @@ def python(package: Path, code: str = CALL, **variables: str) -> subprocess.Comp
         PYTHONPATH=str(package.parent),
         PYTHONDONTWRITEBYTECODE="1",  # bytecode knows sources by their size and the second of their change
         NUMBA_CACHE_DIR=str(package.parent / "cache"),
-        **variables,
     )
     return subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
         check=True,
-        env=environment,
+        env=environment | variables,
         timeout=300.0,
     )
 
@@ -387,6 +386,29 @@ def test_a_part_is_kept_and_taken_in_by_whoever_needs_it(package: Path) -> None:
     assert call(package) == ([7.0, 130.0, -3.0], ["first", "second"])
     edit(leaf, "FACTOR = 2.0", "FACTOR = 3.0")
     assert call(package)[0] == [10.0, 280.0, -3.0]
+
+
+FOR_ALL = {"NUMBA_CPU_NAME": portable.processor(), "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": ""}
+OLD_PROCESSOR = "from pinimpact._compile import portable\nportable.runs_here = lambda: False\n"
+
+
+@pytest.mark.skipif(not portable.runs_here(), reason="kernels of a wheel do not run on this processor")
+def test_kernels_of_a_wheel_are_used_wherever_it_is_and_edited_ones_compiled(
+    package: Path, tmp_path: Path
+) -> None:
+    assert json.loads(python(package, **FOR_ALL).stdout)[1] != []
+    installed = tmp_path / "elsewhere" / "pinimpact"
+    installed.parent.mkdir()
+    package.rename(installed)
+    before = {file: file.read_bytes() for file in installed.rglob("*.nb?")}
+    assert before
+    assert call(installed) == ([7.0, 130.0, -3.0], [])
+    assert not list(installed.parent.rglob("cache/**/*.nb?"))
+    answers, made = json.loads(python(installed, OLD_PROCESSOR + CALL).stdout)
+    assert (answers, made) == ([7.0, 130.0, -3.0], ["first", "shifted", "scaled", "second", "third"])
+    edit(installed / "scene" / "_kernels" / "leaf.py", "FACTOR = 2.0", "FACTOR = 3.0")
+    assert call(installed) == ([10.0, 280.0, -3.0], ["first", "shifted", "scaled", "second"])
+    assert {file: file.read_bytes() for file in installed.rglob("*.nb?")} == before
 
 
 class Pair(NamedTuple):

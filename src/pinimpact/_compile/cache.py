@@ -1,4 +1,7 @@
-"""Kernels cached on disk: by name and types, and by the code from which they are compiled; see `sources`."""
+"""Kernels cached on disk: by name and types, and by the code from which they are compiled; see `sources`.
+
+A kernel that is not in the cache may be in the wheel, compiled for all usual processors; see `portable`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any
 
-from . import pool
+from . import pool, portable
 from .declared import Job, declared_result
 from .linking import symbol_stamp
 from .lock import CacheLock
@@ -98,6 +101,27 @@ class _DiskCache(FunctionCache):
         return self._index_key(types, codegen) in known
 
 
+class _WheelCacheImpl(_CacheImpl):
+    _locator_classes = tuple(
+        type(f"Wheel{locator.__name__}", (locator,), {"ensure_cache_path": lambda self: None})
+        for locator in _CacheImpl._locator_classes
+        if "InTree" in locator.__name__
+    )
+
+
+class _WheelCache(_DiskCache):
+    """The kernels of a wheel, in the folders of their modules, whether these are writable or not."""
+
+    _impl_class = _WheelCacheImpl
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        machine, _, _ = codegen.magic_tuple()
+        return sig, (machine, portable.processor(), "")
+
+    def flush(self) -> None:
+        """Leave the files as they are."""
+
+
 @cache
 def lock() -> CacheLock | None:
     """Return the lock of the cache folder; None if no folder is writable."""
@@ -159,6 +183,7 @@ class KernelCache(NullCache):
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
         self._disk: Any = None
+        self._wheel: Any = None
 
     @property
     def cache_path(self) -> str | None:
@@ -171,8 +196,8 @@ class KernelCache(NullCache):
 
     def knows(self, types: Any) -> bool:
         """Whether the kernel is cached for some types of arguments."""
-        disk = self._find()
-        return self.on_disk and disk.knows(types, self._kernel.targetctx.codegen())
+        codegen, disk = self._kernel.targetctx.codegen(), self._find()
+        return (self.on_disk and disk.knows(types, codegen)) or self._in_wheel(types, codegen)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = pool.present.borrow(self._kernel, self._job(sig)) if pool.present is not None else None
@@ -198,9 +223,22 @@ class KernelCache(NullCache):
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         found = self._find().load_overload(sig, target_context)
+        if found is None and self._in_wheel(sig, target_context.codegen()):
+            found = self._wheel.load_overload(sig, target_context)
         if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
             found = None
         return found
+
+    def _in_wheel(self, types: Any, codegen: Any) -> bool:
+        """Whether the kernel came with the package, compiled for processors such as this one."""
+        if not portable.runs_here():
+            return False
+        if self._wheel is None:
+            try:
+                self._wheel = _WheelCache(self._kernel.py_func)
+            except RuntimeError:  # the package is in an archive
+                self._wheel = NullCache()
+        return isinstance(self._wheel, _WheelCache) and self._wheel.knows(types, codegen)
 
     def _find(self) -> Any:
         if self._disk is None:
