@@ -84,21 +84,18 @@ def test_forces_that_leave_their_bounds_only_by_the_error_of_a_step_end_no_motio
     assert trajectory.complete
 
 
+SELDOM_LOST = [
+    *((101000001000518, 0.375), (151000911, 0.885), (122000395, 0.954), (132000810, 0.589)),
+    *((133000883, 0.683), (177000770, 0.91), (239000381, 0.953)),
+]
+"""Seeds and durations of motions of long tests."""
+
+
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize(
     ("seed", "duration"),
-    [
-        (101000001000931, 0.64),
-        (111000026, 0.1525),
-        pytest.param(101000001000518, 0.375, marks=pytest.mark.exhaustive),
-        (151000823, 0.43),
-        pytest.param(151000911, 0.885, marks=pytest.mark.exhaustive),
-        pytest.param(122000395, 0.954, marks=pytest.mark.exhaustive),
-        pytest.param(132000810, 0.589, marks=pytest.mark.exhaustive),
-        pytest.param(133000883, 0.683, marks=pytest.mark.exhaustive),
-        pytest.param(177000770, 0.91, marks=pytest.mark.exhaustive),
-        pytest.param(239000381, 0.953, marks=pytest.mark.exhaustive),
-    ],
+    [(101000001000931, 0.64), (111000026, 0.1525), (151000823, 0.43)]
+    + [pytest.param(seed, duration, marks=pytest.mark.exhaustive) for seed, duration in SELDOM_LOST],
 )
 def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration):
     """What began fast and has become slow; what goes on slipping while others begin to.

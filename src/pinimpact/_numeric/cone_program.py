@@ -30,6 +30,15 @@ STEP = 0.99
 
 
 @inlined
+def _beyond_first(x, y, start, size):
+    """Return xᵀy of a cone without its first entries."""
+    total = 0.0
+    for i in range(start + 1, start + size):
+        total += x[i] * y[i]
+    return total
+
+
+@inlined
 def scaling(lines, sizes, s, z, beta, v, lam):
     """Fill the Nesterov–Todd scaling W at (s, z), and λ = W z; return False outside of the cone."""
     for i in range(lines):
@@ -40,11 +49,7 @@ def scaling(lines, sizes, s, z, beta, v, lam):
     start = lines
     for k in range(len(sizes)):
         n = sizes[k]
-        ns = nz = 0.0
-        for i in range(start + 1, start + n):
-            ns += s[i] * s[i]
-            nz += z[i] * z[i]
-        ns, nz = math.sqrt(ns), math.sqrt(nz)
+        ns, nz = math.sqrt(_beyond_first(s, s, start, n)), math.sqrt(_beyond_first(z, z, start, n))
         as2 = (s[start] - ns) * (s[start] + ns)
         az2 = (z[start] - nz) * (z[start] + nz)
         if not (as2 > 0.0 and az2 > 0.0 and s[start] > 0.0 and z[start] > 0.0):
@@ -110,11 +115,7 @@ def quotient(lines, sizes, lam, y, out):
     start = lines
     for k in range(len(sizes)):
         n = sizes[k]
-        norm = dot = 0.0
-        for i in range(start + 1, start + n):
-            norm += lam[i] * lam[i]
-            dot += lam[i] * y[i]
-        norm = math.sqrt(norm)
+        norm, dot = math.sqrt(_beyond_first(lam, lam, start, n)), _beyond_first(lam, y, start, n)
         l0, y0 = lam[start], y[start]
         det = (l0 - norm) * (l0 + norm)
         x0 = (l0 * y0 - dot) / det
@@ -133,10 +134,7 @@ def longest_step(lines, sizes, lam, d):
     start = lines
     for k in range(len(sizes)):
         n = sizes[k]
-        norm = 0.0
-        for i in range(start + 1, start + n):
-            norm += lam[i] * lam[i]
-        norm = math.sqrt(norm)
+        norm = math.sqrt(_beyond_first(lam, lam, start, n))
         if not lam[start] > norm:  # λ has left the cone by rounding
             return math.inf
         a = math.sqrt((lam[start] - norm) * (lam[start] + norm))
@@ -209,10 +207,7 @@ def outside(lines, sizes, x):
         worst = max(worst, -x[i])
     start = lines
     for size in sizes:
-        norm = 0.0
-        for i in range(start + 1, start + size):
-            norm += x[i] * x[i]
-        worst = max(worst, math.sqrt(norm) - x[start])
+        worst = max(worst, math.sqrt(_beyond_first(x, x, start, size)) - x[start])
         start += size
     return worst
 

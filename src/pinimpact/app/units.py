@@ -6,11 +6,11 @@ import math
 from typing import Any
 
 UNITS: dict[str, dict[str, float]] = {
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "length": {"m": 1.0, "cm": 0.01, "mm": 0.001},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "speed": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001},
     "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
-    "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
+    "time": {"s": 1.0, "ms": 0.001, "min": 60.0},
     "acceleration": {"m/s^2": 1.0},
 }
 """The units of each kind of quantity, in SI units; the first applies to numbers without a unit."""

@@ -131,7 +131,7 @@ class ManySolution:
     def flags(self) -> Flag:
         """Special events of the impact.
 
-        For `Flag.NEAR_JUMP` the impact is solved again, with data that differ by 1e-12 and 1e-6.
+        For `Flag.NEAR_JUMP` the impact is solved again, with data that differ by 10⁻¹² and 10⁻⁶.
         """
         works = self.story.works
         flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)

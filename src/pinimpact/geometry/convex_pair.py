@@ -55,7 +55,7 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
     """Return the gap of two shapes, or a lower bound of it if it is not small.
 
     To rounding up to `CLOSE` of their size; beyond, less than the distance by at most coal's error, which
-    makes boxes larger by 1e-10. Spheres and capsules do not need coal. Cores that are that close and have no
+    makes boxes larger by 10⁻¹⁰. Spheres and capsules do not need coal. Cores that are that close and have no
     radius around them are apart by at least the gap, see `separation`.
 
     Args:
@@ -85,7 +85,7 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
 def _between_segments(a: Array, b: Array) -> tuple[float, Array]:
     """Return the distance of two segments or points (1 or 2, 3), and the unit normal from b to a.
 
-    That of coal takes segments for parallel whose product u × w is below 1.5e-7 m²: of capsules that are
+    That of coal takes segments for parallel whose product u × w is below 1.5·10⁻⁷ m²: of capsules that are
     nearly parallel and a centimetre long it is too large by a thousandth of their length.
     """
     (x, y), (u, w) = (a[0], b[0]), (a[-1] - a[0], b[-1] - b[0])

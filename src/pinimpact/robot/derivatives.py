@@ -137,13 +137,7 @@ def impact_derivatives(
 ) -> ImpactDerivatives: ...
 @overload
 def impact_derivatives(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contact: Contacts,
-    *more: Any,
-    **options: Any,
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contacts, *rest: Any, **more: Any
 ) -> ManyImpactDerivatives: ...
 def impact_derivatives(
     model: pin.Model,

@@ -177,13 +177,7 @@ def impact(
 ) -> Hit: ...
 @overload
 def impact(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contact: Contacts,
-    *more: Any,
-    **options: Any,
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contacts, *rest: Any, **more: Any
 ) -> ManyHit: ...
 def impact(
     model: pin.Model,

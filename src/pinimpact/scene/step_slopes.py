@@ -269,7 +269,7 @@ class StepSlopes:
         """Return the rows of a step, which starts with v, with their changes."""
         jacobian = _dense(taken.rows, len(v))
         placed = PlacedRobot(self._model, self._data, taken.middle)
-        slopes = RowSlopes(placed, taken.contacts, taken.corners, self._spare)
+        slopes = RowSlopes(placed, *taken.near, self._spare)
         if slopes.features_meet:
             self.boundary |= Boundary.FEATURES_MEET
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
@@ -337,9 +337,9 @@ class StepSlopes:
     def _removed(self, by_q: Array, taken: StepTaken) -> Array:
         """Return changes of q (nv, n) at the end of a step after overlap has been taken away. (D36)"""
         model = self._model
-        for xi, pushes, before, rows, contacts, corners in taken.removals:
+        for xi, pushes, before, rows, near in taken.removals:
             placed = PlacedRobot(model, self._data, before)
-            slopes = RowSlopes(placed, contacts, corners, self._spare)
+            slopes = RowSlopes(placed, *near, self._spare)
             jacobian = _dense(rows, len(xi))
             of_contacts = 3 * (len(rows.contacts) + len(rows.held))
             every = np.concatenate([rows.normals, rows.held_rows])

@@ -12,6 +12,18 @@ from ..robot.corner_motion import Corner
 from ._kernels.step_rows import StepResult, StepRows
 
 
+class Near(NamedTuple):
+    """What the rows of a time step belong to.
+
+    Attributes:
+        contacts: The near contacts, then held ones.
+        corners: By place among these: what contacts of two shapes stand for.
+    """
+
+    contacts: tuple[Contact, ...]
+    corners: Mapping[int, Corner]
+
+
 class Removal(NamedTuple):
     """A displacement that takes away overlap at the end of a step.
 
@@ -20,15 +32,14 @@ class Removal(NamedTuple):
         pushes: z, along `StepRows.normals`, then `StepRows.held_rows` [kg m or kg m²].
         before: (nq,) the configuration before.
         rows: The rows there.
-        contacts, corners: As in `StepTaken`, of these.
+        near: What they belong to.
     """
 
     displacement: Array
     pushes: Array
     before: Array
     rows: StepRows
-    contacts: tuple[Contact, ...]
-    corners: Mapping[int, Corner]
+    near: Near
 
 
 @dataclass(slots=True, eq=False)
@@ -42,9 +53,8 @@ class StepTaken:
         pushed: (nv,) mean acceleration by the impulses of the step before.
         follows: (nv,) which drives follow their laws.
         stopped: (nv,) velocities that are none: of what is at rest, or comes to rest at the end.
-        contacts: The near contacts, then held ones.
-        corners: By place among these: what contacts of two shapes stand for.
-        axes: (k, 3, 3) contact axes of these at the midpoint, as rows.
+        near: What its rows belong to.
+        axes: (k, 3, 3) axes of these contacts at the midpoint, as rows.
         rows, found: Rows and result of the step.
         arriving: Numbers of the near contacts, and limits past those, that touch where it is cut.
         struck: Of contacts of two shapes that touch where it is cut, by number.
@@ -58,8 +68,7 @@ class StepTaken:
     pushed: Array
     follows: Bools
     stopped: Bools
-    contacts: tuple[Contact, ...]
-    corners: Mapping[int, Corner]
+    near: Near
     axes: Array
     rows: StepRows
     found: StepResult

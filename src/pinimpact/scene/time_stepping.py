@@ -18,8 +18,6 @@ from .._numeric.augmented_newton import VelocityProblem
 from .._numeric.tolerances import HALF_DIGITS, LITTLE, NOISE
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
-from ..robot.contact import Contact
-from ..robot.corner_motion import Corner
 from ..robot.forest import mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
@@ -34,7 +32,7 @@ from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
 from .rest import Rest
-from .step_taken import Removal, StepTaken
+from .step_taken import Near, Removal, StepTaken
 from .switched_off import locked_joints
 
 MOST_IMPACTS = 20
@@ -356,17 +354,16 @@ class TimeStepping(Integrator):
         assert pushed is not None
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
-        near, corners = self._contacts_of(rows)
         kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
         rests = self._rest.joints[work.velocity_joint]
-        given = h, q, softened, pushed, follows, rests, near, corners, axes
+        given = h, q, softened, pushed, follows, rests, self._near_of(rows), axes
         return StepTaken(*given, rows, kept, self._touching)
 
-    def _contacts_of(self, rows: StepRows) -> tuple[tuple[Contact, ...], dict[int, Corner]]:
-        """Return the contacts of some rows, and by place what those of two shapes stand for now."""
+    def _near_of(self, rows: StepRows) -> Near:
+        """Return what some rows belong to, with the corners that contacts of two shapes stand for now."""
         every = self._faces.corners()
-        near = tuple(self.dynamics.contacts[i] for i in (*rows.contacts, *rows.held))
-        return near, {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every}
+        contacts = tuple(self.dynamics.contacts[i] for i in (*rows.contacts, *rows.held))
+        return Near(contacts, {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every})
 
     def _project(self, step: DenseStep, h: float, depth: float) -> Array:
         """Take away what overlaps at the end of a step; return the displacement (nv,).
@@ -394,9 +391,7 @@ class TimeStepping(Integrator):
                 break
             correction, pushes = self._least_displacement(rows, places)
             if step.taken is not None:
-                step.taken.removals.append(
-                    Removal(correction, pushes, state.q, rows, *self._contacts_of(rows))
-                )
+                step.taken.removals.append(Removal(correction, pushes, state.q, rows, self._near_of(rows)))
             state.q = pin.integrate(self.model, state.q, correction)
             moved += correction
         state.impact_energy += self._energy_at(state.q) - before

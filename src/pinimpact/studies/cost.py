@@ -408,10 +408,11 @@ def duration(seconds: float) -> str:
     """Return seconds in readable units."""
     if math.isnan(seconds):
         return "–"
-    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-9:.3g} ns"
+    for unit in ("s", "ms", "µs"):
+        if seconds >= 1.0:
+            return f"{seconds:.3g} {unit}"
+        seconds *= 1000.0
+    return f"{seconds:.3g} ns"
 
 
 def _nulls(value: Any) -> Any:

@@ -17,7 +17,7 @@ ITERATIONS = 2
 """Of Gauss and Newton, from a start that is off by the noise of one difference: each squares the error."""
 
 DIFFERENCE = 1e-3
-"""Step of differences by angular velocity [rad/s], whose errors are 1e-6 of a slope."""
+"""Step of differences by angular velocity [rad/s], whose errors are 10⁻⁶ of a slope."""
 
 _SKEW = np.array(
     [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], float

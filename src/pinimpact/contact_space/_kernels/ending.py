@@ -67,10 +67,12 @@ def no_result(status, figure):
 
 
 @inlined
-def without_impact(flags, v1, v2, v3):
-    """Return the answer where there is no impact."""
-    no = np.int64(0)
-    return Result(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no)
+def not_begun(begins, figure, flags, v1, v2, v3):
+    """Return the values of the answer where `prepare` finds no impact, or a reason why there is no answer."""
+    if begins == NO_IMPACT:
+        no = np.int64(0)
+        return plain(Result(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no))
+    return plain(no_result(begins, figure))
 
 
 @inlined

@@ -12,19 +12,10 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..laws import COUNTED, LAWS
-from .codes import (
-    COMPRESSION,
-    COMPRESSION_ENDS,
-    COMPRESSION_RESUMES,
-    IMPULSE,
-    LAW_MET,
-    NO_EVENT,
-    VELOCITY,
-    WORK,
-)
+from . import codes
 
 POISSON, ENERGETIC, NEWTON = (np.int64(LAWS.index(name)) for name in ("poisson", "energetic", "newton"))
-_COUNTED = np.array([{"velocity": VELOCITY, "impulse": IMPULSE, "work": WORK}[what] for what in COUNTED])
+_COUNTED = np.array([getattr(codes, what.upper()) for what in COUNTED])
 
 
 @inlined
@@ -55,9 +46,9 @@ def law_of_slow_approach(law):
 @inlined
 def left_of_goal(counts, goal, v3, restored, restitution_work):
     """Return what is left of the goal: velocity, impulse or work still to be gained."""
-    if counts == IMPULSE:
+    if counts == codes.IMPULSE:
         return goal - restored
-    if counts == WORK:
+    if counts == codes.WORK:
         return goal - restitution_work
     return goal - v3
 
@@ -73,26 +64,26 @@ def first_event(phase, counts, left, v3, rate):
     Returns:
         the normal impulse until the event (inf: none) and which one it is.
     """
-    if phase == COMPRESSION:
+    if phase == codes.COMPRESSION:
         if rate > 0.0:
-            return max(0.0, -v3 / rate), COMPRESSION_ENDS
+            return max(0.0, -v3 / rate), codes.COMPRESSION_ENDS
         if v3 >= 0.0 and rate >= 0.0:
-            return 0.0, COMPRESSION_ENDS
-        return math.inf, NO_EVENT
+            return 0.0, codes.COMPRESSION_ENDS
+        return math.inf, codes.NO_EVENT
     if left <= 0.0:
-        return 0.0, LAW_MET
-    span, event = math.inf, NO_EVENT
-    if counts == IMPULSE:
-        span, event = left, LAW_MET
-    elif counts == VELOCITY:
+        return 0.0, codes.LAW_MET
+    span, event = math.inf, codes.NO_EVENT
+    if counts == codes.IMPULSE:
+        span, event = left, codes.LAW_MET
+    elif counts == codes.VELOCITY:
         if rate > 0.0:
-            span, event = left / rate, LAW_MET
+            span, event = left / rate, codes.LAW_MET
     else:
         square = v3 * v3 + 2.0 * rate * left
         if square >= 0.0:
             slope = v3 + math.sqrt(square)
             if slope > 0.0:
-                span, event = 2.0 * left / slope, LAW_MET
+                span, event = 2.0 * left / slope, codes.LAW_MET
     if rate < 0.0 and -v3 / rate < span:
-        return -v3 / rate, COMPRESSION_RESUMES
+        return -v3 / rate, codes.COMPRESSION_RESUMES
     return span, event

@@ -13,7 +13,6 @@ from .codes import (
     NEAR_JUMP,
     NEVER,
     NO_FLAG,
-    NO_IMPACT,
     NONE_YET,
     NOT_CONVERGED,
     RESTITUTION,
@@ -23,7 +22,7 @@ from .codes import (
     VELOCITY,
 )
 from .contact_problem import PROCEEDS, prepare
-from .ending import Result, followed, no_result, plain, without_impact
+from .ending import Result, followed, not_begun
 from .ledger import close_move, left_to_gain, new_ledger
 from .moves import (
     State,
@@ -77,10 +76,8 @@ def solve_into(
     begins, figure, flags, view, problem = prepare(
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     )
-    if begins == NO_IMPACT:
-        return plain(without_impact(flags, v1, v2, v3))
     if begins != PROCEEDS:
-        return plain(no_result(begins, figure))
+        return not_begun(begins, figure, flags, v1, v2, v3)
 
     status, figure, flags, iterations, state, ledger, rows, points = _follow(
         problem, flags, scratch, trace, path

@@ -10,24 +10,9 @@ import numpy as np
 
 from ..._compile.jit import always_inlined, jit
 from ..._numeric.tolerances import ROUNDOFF
-from .codes import (
-    COMPRESSION,
-    IN_SLIP,
-    LAW_MET,
-    LAW_UNREACHABLE,
-    LOCKED,
-    LOCKS,
-    NEAR_JUMP,
-    NEVER,
-    NO_IMPACT,
-    NONE_YET,
-    NOT_CONVERGED,
-    SEPARATED,
-    UNSTOPPABLE,
-    VELOCITY,
-)
+from . import codes
 from .contact_problem import PROCEEDS, prepare
-from .ending import followed, no_result, plain, without_impact
+from .ending import followed, not_begun
 from .ledger import close_move, left_to_gain, new_ledger
 from .moves import State, frictionless_course, leave_zero_slip, mode_flag, straight_move, tangential_velocity
 from .recording import record_move, record_point
@@ -63,10 +48,8 @@ def solve_stepping(
     begins, figure, flags, view, problem = prepare(
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     )
-    if begins == NO_IMPACT:
-        return plain(without_impact(flags, v1, v2, v3))
     if begins != PROCEEDS:
-        return plain(no_result(begins, figure))
+        return not_begun(begins, figure, flags, v1, v2, v3)
 
     status, figure, flags, iterations, at, ledger, rows, points = _follow(
         problem, flags, table, steps, rtol, trace, path
@@ -114,16 +97,16 @@ def _follow(problem, flags, table, steps, rtol, trace, path):
     stride = stepping.scale / steps
     most = MAX_CHOSEN if rtol > 0.0 else MAX_SCALES * steps
     counts, ledger, course = problem.counts, new_ledger(), frictionless_course(problem)
-    mode, rate = IN_SLIP, problem.c - problem.mu * (problem.b1 * problem.s1 + problem.b2 * problem.s2)
+    mode, rate = codes.IN_SLIP, problem.c - problem.mu * (problem.b1 * problem.s1 + problem.b2 * problem.s2)
     state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     at = At(problem.v1, problem.v2, problem.v3, problem.speed, 0.0, 0.0, 0.0, ledger.phase, 0.0)
     settled = problem.mu == 0.0  # from here on all rates are constant
-    rows, iterations = NONE_YET, 0
-    points = record_point(path, NONE_YET, at.p3, at.v1, at.v2, at.v3, at.p1, at.p2)
+    rows, iterations = codes.NONE_YET, 0
+    points = record_point(path, codes.NONE_YET, at.p3, at.v1, at.v2, at.v3, at.p1, at.p2)
     while True:
         iterations += 1
         if iterations > most:
-            return NOT_CONVERGED, 0.0, flags, iterations, at, ledger, rows, points
+            return codes.NOT_CONVERGED, 0.0, flags, iterations, at, ledger, rows, points
         v1, v2, v3, speed, p1, p2, p3, _, _ = at
         if not settled and v1 == 0.0 and v2 == 0.0:
             settled = True
@@ -134,10 +117,10 @@ def _follow(problem, flags, table, steps, rtol, trace, path):
         at = At(v1, v2, v3, speed, p1, p2, p3, phase, left)
         if settled:
             move, state = straight_move(problem, 1.0, course, state, phase, left)
-            if move.event == NEVER:
-                status, figure = UNSTOPPABLE, v3
-                if phase != COMPRESSION:
-                    status, figure = (LOCKED if flags & LOCKS else LAW_UNREACHABLE), left
+            if move.event == codes.NEVER:
+                status, figure = codes.UNSTOPPABLE, v3
+                if phase != codes.COMPRESSION:
+                    status, figure = (codes.LOCKED if flags & codes.LOCKS else codes.LAW_UNREACHABLE), left
                 return status, figure, flags, iterations, at, ledger, rows, points
             v1, v2 = tangential_velocity(problem, state)
             at = At(v1, v2, state.v3, state.speed, state.p1, state.p2, state.p3, phase, left)
@@ -152,9 +135,9 @@ def _follow(problem, flags, table, steps, rtol, trace, path):
         points = record_point(path, points, at.p3, at.v1, at.v2, at.v3, at.p1, at.p2)
         ledger, event, new_flags = close_move(ledger, problem, move.event, h, move.work, rate, left, at.p3)
         flags |= new_flags
-        if event == LAW_MET:
+        if event == codes.LAW_MET:
             break
-    v3 = ledger.goal if counts == VELOCITY else at.v3
+    v3 = ledger.goal if counts == codes.VELOCITY else at.v3
     if rate < 0.0 and v3 < -CLOSE_TO_JUMP * at.p3 * rate:
-        flags |= NEAR_JUMP
-    return SEPARATED, 0.0, flags, iterations, at, ledger, rows, points
+        flags |= codes.NEAR_JUMP
+    return codes.SEPARATED, 0.0, flags, iterations, at, ledger, rows, points

@@ -10,7 +10,7 @@ import math
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
-from ..._compile.jit import jit
+from ..._compile.jit import inlined, jit
 
 EPS = 2.0**-52
 
@@ -85,6 +85,13 @@ def solve(lower, parents, rows):
             row[i] = x / lower[i, i]
 
 
+@inlined
+def _subtract_row(rows, i, part, j):
+    """Subtract a part of row j from row i."""
+    for k in range(rows.shape[1]):
+        rows[i, k] -= part * rows[j, k]
+
+
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def solve_mass(lower, parents, columns):
@@ -97,16 +104,12 @@ def solve_mass(lower, parents, columns):
             columns[i, k] *= inverse
         j = parents[i]
         while j >= 0:
-            x = lower[i, j]
-            for k in range(m):
-                columns[j, k] -= x * columns[i, k]
+            _subtract_row(columns, j, lower[i, j], i)
             j = parents[j]
     for i in range(n):
         j = parents[i]
         while j >= 0:
-            x = lower[i, j]
-            for k in range(m):
-                columns[i, k] -= x * columns[j, k]
+            _subtract_row(columns, i, lower[i, j], j)
             j = parents[j]
         inverse = 1.0 / lower[i, i]
         for k in range(m):
