@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, simulate
+from pinimpact import Contact, Plane, Scene, impact, simulate
 
-from .scene_models import UP, G
+from .scene_models import UP, G, unbounded
 from .test_time_stepping import boxes
 
 SIZE, MU = (0.2, 0.2, 0.1), 0.4
@@ -102,3 +102,49 @@ def test_events_and_time_steps_give_the_same_motion(name):
     # steps are of first order where contact changes, and share loads to a part of their compliances
     error = 3.0 * np.abs(coarse - fine).max() + 3e-4 * np.abs(located.q[-1] - q0).max() + 1e-9
     assert located.q[-1] == pytest.approx(2.0 * fine - coarse, abs=error)
+
+
+def rod(tilt, height, **coefficients):
+    """A rod of 1 m and 1 kg whose lower end is so high above a floor; the scene and its configuration."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "rod")
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1 / 12, 1 / 12, 1e-3]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    end = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
+    model.addFrame(pin.Frame("end", joint, 0, end, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    turn = pin.Quaternion(pin.exp3(np.array([0.0, tilt, 0.0]))).coeffs()
+    place = [0.0, 0.0, 0.5 * np.cos(tilt) + height, *turn]
+    return Scene(model, [Contact("end", Plane(), name="end", **coefficients)]), np.array(place)
+
+
+@pytest.mark.parametrize(("restitution", "spin"), [(0.0, 0.0), (0.3, 0.0), (0.0, 3.0), (0.3, 3.0)])
+def test_forces_on_the_end_of_a_rod_that_falls_over_converge(restitution, spin):
+    """Its path is curved, and a bounce or the landing leaves a normal velocity, which must not stay."""
+    scene, q0 = rod(0.3, 0.01, friction=0.1, restitution=restitution)
+    v0, errors = np.array([0.0, 0.0, 0.0, 0.0, spin, 0.0]), []
+    exact = simulate(scene, q0, v0, 0.35, scheme="event-driven")
+    for dt in (2e-3, 1e-3, 5e-4):
+        run = simulate(scene, q0, v0, 0.35, scheme="time-stepping", dt=dt)
+        t = dt * np.arange((exact.impacts[-1].time + 0.02) // dt + 0.5, 0.35 / dt)  # means are those there
+        ratio = run.forces("end", t)[:, 2] / exact.forces("end", t)[:, 2]
+        errors.append(np.abs(ratio - 1.0).max())
+        assert abs(run.energy.residual).max() < 1e-3 * exact.energy.kinetic.max()
+    assert errors[0] < 1e-2
+    assert errors[2] < 4e-3
+
+
+@pytest.mark.parametrize("part", [0.1, 0.35, 0.6, 0.85])
+def test_what_lands_is_stopped_at_once_wherever_in_a_step(part):
+    """The slip of a rod that lands obliquely turns: two impacts that stop a part each are another one."""
+    dt, v0 = 1e-5, np.array([0.5, 1.0, -2.0, 3.0, 4.0, 0.0])
+    scene, q0 = rod(0.6, 0.0, friction=0.3)
+    data, end = scene.model.createData(), scene.model.getFrameId("end")
+    law = dataclasses.replace(scene.contacts[0], law="energetic")
+    landed = impact(scene.model, data, q0, v0, [law], simultaneous="together").v
+    pin.forwardKinematics(scene.model, data, q0, v0)
+    speed = -pin.getFrameVelocity(scene.model, data, end, pin.LOCAL_WORLD_ALIGNED).linear[2]
+    q0[2] += (2.0 + part) * dt * speed
+    scene.model.gravity.linear[:] = 0.0
+    run = simulate(scene, q0, v0, 6.0 * dt, scheme="time-stepping", dt=dt)
+    assert run.v[-1] == pytest.approx(landed, abs=1e-3)

@@ -87,7 +87,7 @@ class _Sets:
         """Return the gap that a row along a normal closes, and how it matters; None if it is open."""
         found, h = self.taken.found, self.taken.h
         if found.impulse[row] <= self.rounding:
-            apart = found.u_end[row] + 2.0 * max(gap, 0.0) / h > self.still
+            apart = found.u_end[row] + max(gap, 0.0) / h > self.still
             return None if apart or not self.tie() else (0.0, OPEN)
         if abs(gap) <= self.taken.touching:
             return 0.0, PINNED

@@ -242,8 +242,8 @@ class StepSlopes:
                     forces[:, column] -= found.impulse[a + 2] * one.direction @ jacobian[a : a + 2]
         pushed, kept, stays = sets.directions(jacobian), jacobian[sets.rows], rows.end[sets.rows]
         closing = kept @ middle
-        stays += np.where(sets.closing == CLOSES, 2.0 / h, 0.0)[:, None] * closing
-        stays -= np.outer(2.0 * sets.gaps / h**2, length)
+        stays += np.where(sets.closing == CLOSES, 1.0 / h, 0.0)[:, None] * closing
+        stays -= np.outer(sets.gaps / h**2, length)
         moved = np.linalg.solve(matrix, np.column_stack([known + forces, pushed]))
         free, response = moved[:, : known.shape[1]], moved[:, known.shape[1] :]
         impulses = limit_of_compliances(kept @ response, -(kept @ free + stays), sets.compliances)

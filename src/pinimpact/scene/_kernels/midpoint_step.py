@@ -129,6 +129,13 @@ def velocities(rows, offset, v, out):
 
 
 @inlined
+def number_of(work, rows, i):
+    """Return the number of a near contact i, or limit past those, among all of them."""
+    nc = len(rows.contacts)
+    return rows.contacts[i] if i < nc else work.contacts + rows.limits[i - nc]
+
+
+@inlined
 def part_to_touch(gap, first, last):
     """Return the part of a step after which a gap closes, whose rate goes linearly from one to another.
 
@@ -155,28 +162,31 @@ def free_velocity(h, v, acceleration, system, predicted, out):
 
 
 @inlined
-def find_arrivals(work, h, strikes, collides, rows, acceleration, free, found):
-    """Fill in which contacts and limits collide if they close in the step: those that may, and close fast.
+def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
+    """Fill in which contacts and limits close so fast that they have been apart: they take no part in a step.
+
+    If they close in it those that may collide do so, and others have no impulse before the next step, lest a
+    part of the velocity is stopped in either. (16.2)
 
     Args:
         h: Length of the step [s].
         strikes: Whether anything is to collide.
-        collides: (n + nl,) see `StepSystem`.
+        system: The `StepSystem`.
         rows: The `StepRows`.
         acceleration: (nc + nh, 3) of contacts without contact forces [m/s²].
         free: (rows,) velocities at the end of the step without impulses.
         found: The `StepResult`, with `u_start`; its `arrives` is filled.
     """
-    contacts, limits, u_start, arrives = rows.contacts, rows.limits, found.u_start, found.arrives
-    nc, every = len(contacts), len(contacts) + len(rows.held)
-    for i in range(nc + len(limits)):
-        row = normal_row(nc, every, i)[0]
-        number = contacts[i] if i < nc else work.contacts + limits[i - nc]
+    collides, u_start, arrives = system.collides, found.u_start, found.arrives
+    nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
+    for i in range(nc + len(rows.limits)):
+        row, place = normal_row(nc, every, i)
         # what closes faster than the step's own acceleration makes has been apart: an impact
         own = abs(free[row] - u_start[row])
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
-        arrives[i] = strikes and collides[number] and u_start[row] < -max(work.resting_speed, 2.0 * own)
+        may = strikes if collides[number_of(work, rows, i)] else rows.gap[place] > 0.0
+        arrives[i] = may and u_start[row] < -max(work.resting_speed, 2.0 * own)
 
 
 @inlined
@@ -187,9 +197,9 @@ def contact_problem(work, h, system, rows, arrives, free):
         h: Length of the step [s].
         system: The `StepSystem`.
         rows: The `StepRows`.
-        arrives: (nc + nl,) what collides, and takes no part.
-        free: (rows,) velocities at the end of the step without impulses; takes 2 gap/h in addition, for gaps
-            at the end are to be ≥ 0. (16.1)
+        arrives: (nc + nl,) what takes no part.
+        free: (rows,) velocities at the end of the step without impulses; takes gap/h in addition, for gaps
+            at the midpoint of the next step are to be ≥ 0. (16.2)
     """
     contacts, held, limits, dry, values, columns, counts, _, gap = rows
     nc, every, n = len(contacts), len(contacts) + len(held), len(free)
@@ -208,9 +218,9 @@ def contact_problem(work, h, system, rows, arrives, free):
             lower[k] = -upper[k]
         elif a >= 3 * every:
             lower[k] = 0.0
-            free[a] += 2.0 * max(gap[a - 2 * every], 0.0) / h
+            free[a] += max(gap[a - 2 * every], 0.0) / h
     for i in range(every):
-        free[3 * i + 2] += 2.0 * (max(gap[i], 0.0) if i < nc else gap[i]) / h
+        free[3 * i + 2] += (max(gap[i], 0.0) if i < nc else gap[i]) / h
     problem = VelocityProblem(
         *(system.mass, system.inverse, system.start, values, columns, counts, free, friction),
         *(lower, upper, compliance),
@@ -219,18 +229,19 @@ def contact_problem(work, h, system, rows, arrives, free):
 
 
 @inlined
-def close_gaps(h, rows, found):
+def close_gaps(work, h, system, rows, found):
     """Fill in the gaps at the end of a step; return what it comes to along normals.
 
     Args:
         h: Length of the step [s].
+        system: The `StepSystem`.
         rows: The `StepRows`.
         found: The `StepResult`; its `gap_end` is filled.
 
     Returns:
-        the part of the step until what arrives first touches, one if nothing does; the work of impulses along
-        normals and limits until then [J]; and by how much what has taken part overlaps at the end, or what is
-        held is off [m].
+        the part of the step until something first collides, one if nothing does; the work of impulses along
+        normals and limits until then [J]; and by how much what does not collide overlaps at the end, or what
+        is held is off [m].
     """
     nc, every, gap = len(rows.contacts), len(rows.contacts) + len(rows.held), rows.gap
     u_start, u_end, impulse, gap_end = found.u_start, found.u_end, found.impulse, found.gap_end
@@ -238,7 +249,7 @@ def close_gaps(h, rows, found):
     for i in range(len(gap_end)):
         row, place = normal_row(nc, every, i)
         gap_end[i] = gap[place] + 0.5 * h * u_end[row]
-        if not found.arrives[i]:
+        if not (found.arrives[i] and system.collides[number_of(work, rows, i)]):
             overlap = max(overlap, -gap_end[i])
         elif gap_end[i] < 0.0:
             part = part_to_touch(gap[place] / h - 0.5 * u_start[row], u_start[row], u_end[row])
@@ -289,7 +300,7 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
         offset[a] = u_start[a] - offset[a]
     free_velocity(h, v, work.acceleration, system, v, predicted)
     velocities(rows, offset, predicted, free)
-    find_arrivals(work, h, strikes, system.collides, rows, acceleration, free, found)
+    find_arrivals(work, h, strikes, system, rows, acceleration, free, found)
     for c in range(nv):
         predicted[c] += h * pushed[c]  # by impulses as in the step before
         mean[c] = 0.5 * (v[c] + predicted[c])
@@ -308,5 +319,5 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
             v_end[c] += mean[c]
             pushed[c] = mean[c] / h
     velocities(rows, offset, v_end, found.u_end)
-    share, work_done, overlap = close_gaps(h, rows, found)
+    share, work_done, overlap = close_gaps(work, h, system, rows, found)
     return off, share, work_done, overlap

@@ -74,7 +74,7 @@ class StepSystem(NamedTuple):
         tree: (nv,) number of the tree that each velocity belongs to.
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
-        collides: (n + nl,) which contacts and limits do not close by the laws of a step.
+        collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
         compliances: (n,) of all contacts.
     """
 
@@ -95,7 +95,7 @@ class StepResult(NamedTuple):
         impulse: (rows,) the impulses [N s], of dry joints [N s or N m s].
         u_start: (rows,) velocities of the rows at the start [m/s], of dry joints [m/s or rad/s].
         u_end: (rows,) those at the end.
-        arrives: (nc + nl,) what closes so fast that it collides: it has no impulse here.
+        arrives: (nc + nl,) what closes so fast that it has been apart: it has no impulse here.
         predicted: (nv,) the velocity with which forces were evaluated at the end.
         v_end: (nv,) the velocity at the end.
         gap_end: (nc + nl,) the gaps at the end [m].
