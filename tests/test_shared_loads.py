@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinimpact import Contact, Plane, Scene, simulate
+from pinimpact import Contact, Plane, Scene, Shape, simulate
 
 from .scene_models import UP, G, unbounded
 
@@ -93,3 +93,34 @@ def pose(run):
     turned = pin.XYZQUATToSE3(q).rotation
     velocity = turned @ v[:3]
     return np.array([*q[:2], np.arctan2(turned[1, 0], turned[0, 0]), *velocity[:2], v[5]])
+
+
+@pytest.mark.parametrize(("scheme", "known"), [("event-driven", 1e-9), ("time-stepping", 3e-3)])
+def test_a_face_that_pushes_a_sliding_box_bears_what_its_friction_can(scheme, known):
+    """A pusher on a rail, of 1 kg, drives a box of 2 kg ahead of it as both slow down by the box's friction.
+
+    On equal springs the box sinks until the floor bears its weight, and slides down the pusher meanwhile,
+    whose friction μ' m' a, all it can be, takes off as much: (m + m') a = μ (m g − μ' m' a).
+    """
+    mu, between, shapes, model = 0.4, 0.3, pin.GeometryModel(), pin.Model()
+    for name, kind, mass, size, x in (
+        ("pusher", pin.JointModelPX(), 1.0, 0.1, -0.15),
+        ("box", pin.JointModelFreeFlyer(), 2.0, 0.2, 0.0),
+    ):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.1])) if name == "pusher" else pin.SE3.Identity()
+        joint = model.addJoint(0, kind, place, name)
+        model.addJointFrame(joint)
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(mass, size, size, size), pin.SE3.Identity())
+        shape = coal.Box(size, size, size)
+        shapes.addGeometryObject(pin.GeometryObject(f"{name}_0", joint, pin.SE3.Identity(), shape))
+    unbounded(model)
+    contacts = [
+        Contact(geometry="box_0", plane=Plane(), friction=mu),
+        Contact(geometry="pusher_0", plane=Shape("box_0"), friction=between),
+    ]
+    v0, t = np.array([0.3, 0.3, 0, 0, 0, 0, 0]), 0.08
+    run = simulate(
+        Scene(model, contacts, geometry=shapes), [0.0, 0, 0, 0.1, *UP], v0, t, scheme=scheme, dt=1e-3
+    )
+    slowed = mu * 2.0 * G / (3.0 + mu * between) * t
+    assert run.v[-1][:2] == pytest.approx(0.3 - slowed, abs=known * slowed)

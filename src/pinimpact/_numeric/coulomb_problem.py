@@ -24,10 +24,11 @@ from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Flags, Floa
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .cone_program import cholesky, substitute
+from .elimination import largest_of
 from .least_norm import least_norm
 from .loops import assign, flags, repeated
 from .products import apply
-from .tolerances import COMPLIANCE, COMPUTED, EXACT, NEAR, ROUNDOFF, SMALL
+from .tolerances import COMPLIANCE, COMPUTED, EXACT, NEAR, ROUNDOFF, SMALL, TINY
 from .tolerances import USABLE as USABLE  # for those who solve
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
@@ -47,6 +48,10 @@ LONG = 500
 POLISH = 8
 """Steps of Newton's method per trial."""
 
+
+SOFTER = 1e-2, 1e-3, 1e-4, 2.0 * SMALL
+"""Parts of the largest of W that compliances are, one after another, where small ones alone converge badly:
+at a hundredth it is clear which bounds forces reach."""
 
 AS_FORCES_SAY = np.int64(-1)
 """Instead of a mode of a contact in `linearize`."""
@@ -240,25 +245,36 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
     """Fill x as `solve_coulomb` does; of several solutions with the limit of small compliances. (11.12)
 
     With W + ε C instead of W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's
-    method converges to the nearest solution. Other arguments and the result are as in `solve_coulomb`; x
+    method converges to the nearest solution. Where the first is not found, those of larger ε lead to it, from
+    one to the next. Other arguments and the result are as in `solve_coulomb`; x
     should have the symmetry of the problem. C is diagonal, `compliance` (nc,) for each contact's rows, up to
     a factor.
     """
-    nc, size = len(mu), len(free)
-    stiffest = softest = 0.0
-    for i in range(nc):
-        softest = max(softest, compliance[i])
-        for a in range(3 * i, 3 * i + 3):
-            stiffest = max(stiffest, delassus[a, a])
-    soft, far = delassus.copy(), x.copy()
-    for part in (2.0 * SMALL, SMALL):
-        for a in range(3 * nc):
-            soft[a, a] = delassus[a, a] + part * stiffest * compliance[a // 3] / softest
-        assign(far, x)
-        solve_coulomb(soft, free, velocity, mu, least, held, lower, upper, x)
+    size, unit = len(free), 0.0
+    for a in range(3 * len(mu)):
+        unit = max(unit, delassus[a, a])
+    unit /= max(largest_of(compliance, 0), TINY)
+    system = free, velocity, mu, least, held, lower, upper
+    soft, far, start = delassus.copy(), np.empty(size), x.copy()
+    soften(delassus, 2.0 * SMALL * unit, compliance, soft)
+    if solve_coulomb(soft, *system, x) > USABLE:
+        assign(x, start)
+        for part in SOFTER:
+            soften(delassus, part * unit, compliance, soft)
+            solve_coulomb(soft, *system, x)
+    assign(far, x)
+    soften(delassus, SMALL * unit, compliance, soft)
+    solve_coulomb(soft, *system, x)
     for a in range(size):
         x[a] += x[a] - far[a]
-    return solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x)
+    return solve_coulomb(delassus, *system, x)
+
+
+@inlined
+def soften(delassus, unit, compliance, soft):
+    """Fill the diagonal of W + ε C for rows of contacts."""
+    for a in range(3 * len(compliance)):
+        soft[a, a] = delassus[a, a] + unit * compliance[a // 3]
 
 
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
