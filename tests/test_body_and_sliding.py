@@ -138,6 +138,9 @@ def test_bad_input_is_named() -> None:
     still = studies.Motion(t, np.tile([0.0, 0, 0.062, 0, 0, 0, 1], (12, 1)))
     with pytest.raises(InputError, match="no body slides on a face for 7 frames"):
         studies.identify_sliding([still], box_scene())
+    for kind, effect in (("gravity", "gravity"), ("sliding_friction", "contact friction")):
+        with pytest.raises(InputError, match=f"free: {kind} is free, but the scene is without {effect}"):
+            studies.identify_sliding([still], replace(box_scene(), without=[effect]), (kind,))
     with pytest.raises(InputError, match="at least three contacts with one plane"):
         studies.identify_sliding([still], Scene(box_scene().model, box_scene().contacts[:2]))
     with pytest.raises(InputError, match="rollouts is for one free body"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -113,6 +114,17 @@ def test_impacts_of_simulated_tosses_are_found() -> None:
     fit = studies.identify(found, scene)
     assert fit.groups == len(set(found.group.tolist()))
     assert np.abs(fit.x - [0.2, 0.5]).max() < 4.0 * fit.standard_errors.max() < 0.03
+
+
+def test_impacts_of_a_scene_without_gravity_are_between_straight_flights() -> None:
+    rng, scene = np.random.default_rng(4), replace(box_scene(), without=["gravity"])
+    run = toss(scene, rng, 0.5)
+    found = studies.impacts(scene, [recorded(run, rng, sigma=(1e-6, 1e-6))])
+    assert len(found) > 0
+    for time, before, after in zip(found.time, found.v_before, found.v_after, strict=True):
+        hit = min(run.impacts, key=lambda one: abs(one.time - time))
+        assert before == pytest.approx(hit.v_before, abs=1e-3)
+        assert after == pytest.approx(hit.v_after, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from ..arrays import Array
 from ..scene._kernels.tolerances import ATOL, RTOL
+from ..scene.scene import Scene
+from ..scene.switched_off import altered_model
 
 ITERATIONS = 2
 """Of Gauss and Newton, from a start that is off by the noise of one difference: each squares the error."""
@@ -39,8 +40,9 @@ class Body(NamedTuple):
     gravity: Array
 
     @classmethod
-    def of(cls, model: pin.Model) -> Body:
-        """Return the numbers of the one free body of a model."""
+    def of(cls, scene: Scene) -> Body:
+        """Return the numbers of the one free body of a scene, without what it switches off."""
+        model = altered_model(scene.model, scene.without)
         inertia = model.inertias[1]
         return cls(
             np.array(inertia.lever), np.array(inertia.inertia) / inertia.mass, np.array(model.gravity.linear)

@@ -68,7 +68,7 @@ def fit_motions(
             value=executor,
         )
     choice("loss", loss, LOSSES, "a loss")
-    fits = _Fits(scene, bounds, law, loss, setters, executor, np.real(sqrtm(Body.of(scene.model).inertia)))
+    fits = _Fits(scene, bounds, law, loss, setters, executor, np.real(sqrtm(Body.of(scene).inertia)))
     flights = starts_of(scene, motions, True, "trajectories")
     if restart:
         return fits.to_flights(flights)

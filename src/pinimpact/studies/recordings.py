@@ -113,7 +113,7 @@ def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = CLEAR
     motions = checked_motions(motions)
     if not scene.contacts:
         raise InputError("scene: it has no contacts", value=scene)
-    body, rows, dropped = Body.of(scene.model), [], []
+    body, rows, dropped = Body.of(scene), [], []
     for label, poses, sigma, flights in flights_of(scene, motions, body, clearance):
         for before, after in itertools.pairwise(flights):
             row = _impact(scene, poses, before, after, sigma, body, clearance)

@@ -111,7 +111,7 @@ def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[St
     Raises:
         InputError: Recordings that are none of one free body, or without flight.
     """
-    motions, body = checked_motions(recorded), Body.of(scene.model)
+    motions, body = checked_motions(recorded), Body.of(scene)
     starts = []
     found = flights_of(scene, motions, body, CLEARANCE)
     for number, (motion, (label, poses, _, flights)) in enumerate(zip(motions, found, strict=True)):
@@ -134,7 +134,7 @@ def differences(
     scene: Scene, start: Start, frames: Integers | slice = slice(None), **options: Any
 ) -> tuple[Array, Array]:
     """Return simulated less recorded centres of mass and rotations (n, 3), in the world, at some frames."""
-    t, lever = start.t[frames], Body.of(scene.model).lever
+    t, lever = start.t[frames], Body.of(scene).lever
     run = simulate(scene, start.q, start.v, float(start.t[-1]), **options)
     q = np.array([run.at(min(time, run.t[-1]))[0] for time in t.tolist()])
     rotation = Rotation.from_quat(q[:, 3:])

@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..geometry.plane import Plane
 from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
+from ..scene.switched_off import altered
 from .estimate import Identified, fit, group_numbers
 from .flights import Body
 from .found import free_body
@@ -65,7 +66,7 @@ def identify_sliding(
 
     Raises:
         InputError: A robot that is not one free body, contacts that are not on one fixed plane, recordings in
-            which nothing slides.
+            which nothing slides, or a free parameter of an effect that the scene switches off.
         UnknownNameError: An unknown parameter or loss.
     """
     free_body(scene, "identify_sliding")
@@ -73,8 +74,11 @@ def identify_sliding(
     kinds = as_tuple("free", free, str, "a parameter")
     names = [name for kind in kinds for name in _NAMES[choice("free", kind, _NAMES, "a parameter")]]
     closed, slowest = above_zero("closed", closed), above_zero("slowest", slowest)
+    for kind, effect in (("sliding_friction", "contact friction"), ("gravity", "gravity")):
+        if kind in kinds and effect in scene.without:
+            raise InputError(f"free: {kind} is free, but the scene is without {effect}", value=free)
     axes = _axes(scene)
-    body = Body.of(scene.model)
+    body = Body.of(scene)
     slides = [
         slide
         for number, motion in enumerate(motions)
@@ -88,7 +92,7 @@ def identify_sliding(
     rows, targets = np.array([slide.rows for slide in slides]), np.array([slide.target for slide in slides])
     group = group_numbers([slide.label for slide in slides], len(slides))
     strength, given = float(np.linalg.norm(body.gravity)), axes[:2] @ body.gravity
-    sustained = scene.contacts[0].sustained_friction
+    sustained = altered(scene.contacts[0], scene.without).sustained_friction
     place = {name: j for j, name in enumerate(names)}
 
     def parts(x: Array) -> tuple[float, Array, float]:
