@@ -14,15 +14,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from .._numeric.augmented_newton import VelocityProblem
-from .._numeric.tolerances import HALF_DIGITS, LITTLE, NOISE
+from .._numeric.tolerances import HALF_DIGITS, NOISE
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
 from ..robot.forest import mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
-from ._kernels.midpoint_step import midpoint_step, near_rows, rows_at
-from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
+from ._kernels.midpoint_step import midpoint_step, near_rows
+from ._kernels.overlap import least_displacement, overlap_at
+from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
 from ._kernels.tolerances import STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
@@ -44,7 +44,7 @@ FAILED = 0.1
 MOST_REMOVALS = 10
 """Displacements at the end of a step; what overlaps after that is left to the next step."""
 
-_NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
+_NO_NUMBERS = np.empty(0, dtype=np.int64)
 
 
 class TimeStepping(Integrator):
@@ -169,7 +169,7 @@ class TimeStepping(Integrator):
         active = ~found.arrives
         moved = self._no_change
         if overlap > self._touching:
-            moved = self._project(step, h, overlap)
+            moved = self._project(step, h, overlap, system)
         if self._continuous is None:
             self._let_rest(step, rows, active, (v, found.v_end, moved / h))
             if step.taken is not None:
@@ -366,7 +366,7 @@ class TimeStepping(Integrator):
         contacts = tuple(self.dynamics.contacts[i] for i in (*rows.contacts, *rows.held))
         return Near(contacts, {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every})
 
-    def _project(self, step: DenseStep, h: float, depth: float) -> Array:
+    def _project(self, step: DenseStep, h: float, depth: float, system: StepSystem) -> Array:
         """Take away what overlaps at the end of a step; return the displacement (nv,).
 
         It is the least one in the metric of M for the gaps as they are; where it brings other points into
@@ -376,6 +376,7 @@ class TimeStepping(Integrator):
             step: The step, which ends where it is taken away.
             h: Its length [s].
             depth: The largest overlap [m].
+            system: The `StepSystem`.
         """
         state, nv = self.state, self.model.nv
         moved, still, before = np.zeros(nv), np.zeros(nv), self._energy_at(state.q)
@@ -385,12 +386,12 @@ class TimeStepping(Integrator):
             if unknown and not len(self._numbers(state.q, still, h, -self._touching, False)):
                 break
             rows = self._rows(state.q, still, h, depth, unknown)
-            rows_at(self.work, state.q, state.v, rows)
-            places = rows.gap_places
-            depth = max(-rows.gap[places].min(initial=0.0), np.abs(rows.off).max(initial=0.0))
+            depth = overlap_at(self.work, state.q, state.v, rows)
             if depth <= self._touching:
                 break
-            correction, pushes = self._least_displacement(rows, places)
+            self._invert(state.q, self._no_change)
+            correction, pushes = np.empty(nv), np.empty(len(rows.gap) + 2 * len(rows.held))
+            least_displacement(system, rows, correction, pushes)
             if step.taken is not None:
                 step.taken.removals.append(Removal(correction, pushes, state.q, rows, self._near_of(rows)))
             state.q = pin.integrate(self.model, state.q, correction)
@@ -398,22 +399,6 @@ class TimeStepping(Integrator):
         state.impact_energy += self._energy_at(state.q) - before
         step.coefficients[0, :nv] += moved
         return moved
-
-    def _least_displacement(self, rows: StepRows, places: Integers) -> tuple[Array, Array]:
-        """Return the displacement (nv,) that opens gaps, holds what is held, and the pushes of the rows."""
-        correction, nothing = np.zeros((2, self.model.nv))
-        self._invert(self.state.q, nothing)
-        numbers = np.concatenate([rows.normals, rows.held_rows])
-        free, pushes = np.concatenate([rows.gap[places], rows.off]), np.empty(len(numbers))
-        lower, upper = np.zeros(len(free)), np.full(len(free), math.inf)
-        lower[len(places) :] = -math.inf
-        jacobian = rows.values[numbers], rows.columns[numbers], rows.counts[numbers]
-        matrices = self._mass, self._inverse, self._start
-        problem = VelocityProblem(*matrices, *jacobian, free, _NONE, lower, upper, _NONE)
-        every = np.ones(len(free), dtype=bool)
-        parts = LITTLE, LITTLE**2  # in two iterations
-        step_impulses(problem, every, self._tree, *parts, nothing.copy(), correction, pushes)
-        return correction, pushes
 
     def _energy_at(self, q: Array) -> float:
         """Return the energy with the present velocity [J], but for kinetic energy that q does not change."""

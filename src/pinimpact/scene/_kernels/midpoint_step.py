@@ -14,9 +14,7 @@ from ..._numeric.products import apply_symmetric
 from ..._numeric.tolerances import SETTLED, SOFTEST
 from ...geometry._kernels.constants import RADIUS
 from .dynamics import (
-    ABA,
     FAR,
-    call_python,
     compute_kinematics,
     contact_gap,
     evaluate_without_contacts,
@@ -108,16 +106,6 @@ def fill_rows(work, v, rows, u, acceleration):
     for k in range(len(dry)):
         a = 3 * every + len(limits) + k
         values[a, 0], columns[a, 0], counts[a], u[a] = 1.0, dry[k], 1, v[dry[k]]
-
-
-@declared(SceneWorkspace, FLOATS, FLOATS, StepRows)
-@jit
-def rows_at(work, q, v, rows):
-    """Fill the rows of a step at a configuration (nq,) and velocity (nv,)."""
-    set_state(work, q, v)
-    call_python(work, ABA)  # for the motions of the joints
-    every = len(rows.contacts) + len(rows.held)
-    fill_rows(work, v, rows, np.empty(len(rows.counts)), np.empty((every, 3)))
 
 
 @inlined

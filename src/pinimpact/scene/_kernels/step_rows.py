@@ -46,22 +46,9 @@ class StepRows(NamedTuple):
         return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
 
     @property
-    def gap_places(self) -> Integers:
-        """(nc + nl,) Where the gaps of contacts and limits stand in `gap`."""
-        nc, nh = len(self.contacts), len(self.held)
-        return np.concatenate([np.arange(nc), nc + nh + np.arange(len(self.limits))])
-
-    @property
     def held_rows(self) -> Integers:
         """(3 nh,) The rows of held contacts."""
         return 3 * len(self.contacts) + np.arange(3 * len(self.held))
-
-    @property
-    def off(self) -> Floats:
-        """(3 nh,) By how much the held contacts are off their surfaces; zero along these."""
-        off = np.zeros(3 * len(self.held))
-        off[2::3] = self.gap[len(self.contacts) : len(self.contacts) + len(self.held)]
-        return off
 
 
 class StepSystem(NamedTuple):

@@ -1,0 +1,71 @@
+"""Overlap at the end of a time step, and the least displacement that takes it away. (theory.md, 16)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import jit
+from ..._numeric.augmented_newton import VelocityProblem
+from ..._numeric.loops import flags
+from ..._numeric.tolerances import LITTLE
+from .dynamics import ABA, call_python, set_state
+from .midpoint_step import fill_rows
+from .step_impulses import step_impulses
+from .step_rows import StepRows, StepSystem, normal_row
+from .workspace import SceneWorkspace
+
+
+@declared(SceneWorkspace, FLOATS, FLOATS, StepRows, result=float)
+@jit
+def overlap_at(work, q, v, rows):
+    """Fill the rows of a step at a configuration (nq,) and velocity (nv,); return the overlap [m].
+
+    It is the largest of contacts and limits, or by how much held contacts are off.
+    """
+    set_state(work, q, v)
+    call_python(work, ABA)  # for the motions of the joints
+    nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
+    fill_rows(work, v, rows, np.empty(len(rows.counts)), np.empty((every, 3)))
+    overlap = 0.0
+    for k in range(len(rows.gap)):
+        overlap = max(overlap, abs(rows.gap[k]) if nc <= k < every else -rows.gap[k])
+    return overlap
+
+
+@declared(StepSystem, StepRows, FLOATS, FLOATS)
+@jit
+def least_displacement(system, rows, displacement, pushes):
+    """Fill the least displacement (nv,) that opens gaps and holds what is held, and the pushes of the rows.
+
+    Args:
+        system: The `StepSystem`, with M alone.
+        rows: The `StepRows`, filled.
+        displacement: (nv,) to be filled.
+        pushes: (nc + nl + 3 nh,) to be filled, along `StepRows.normals`, then `StepRows.held_rows`.
+    """
+    nc, nh, n = len(rows.contacts), len(rows.held), len(pushes)
+    every, near = nc + nh, nc + len(rows.limits)
+    values, columns = np.empty((n, rows.values.shape[1])), np.empty((n, rows.values.shape[1]), dtype=np.int64)
+    counts, free, none = np.empty(n, dtype=np.int64), np.zeros(n), np.empty(0)
+    lower, upper = np.zeros(n), np.full(n, math.inf)
+    for i in range(n):
+        if i < near:
+            row, place = normal_row(nc, every, i)
+            free[i] = rows.gap[place]
+        else:
+            row, lower[i] = 3 * nc + i - near, -math.inf
+            if row % 3 == 2:
+                free[i] = rows.gap[row // 3]
+        counts[i] = rows.counts[row]
+        for k in range(counts[i]):
+            values[i, k], columns[i, k] = rows.values[row, k], rows.columns[row, k]
+    problem = VelocityProblem(
+        *(system.mass, system.inverse, system.start, values, columns, counts),
+        *(free, none, lower, upper, none),
+    )
+    begin, active = np.zeros(len(displacement)), flags(n, True)
+    # in two iterations
+    step_impulses(problem, active, system.tree, LITTLE, LITTLE * LITTLE, begin, displacement, pushes)
