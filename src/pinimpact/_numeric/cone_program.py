@@ -16,7 +16,7 @@ from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign, ones
-from .tolerances import EXACT, FALLS_BACK, NOISE, TINY
+from .tolerances import EXACT, NOISE, TINY
 
 CONE = np.int64(3)
 """Size of the cones of friction."""
@@ -382,8 +382,6 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
             assign(best_x, x)
             assign(best_s, s)
             assign(best_z, z)
-        elif best < FALLS_BACK and accuracy > 10.0 * best:
-            break
         if accuracy <= tolerance or not scaling(lines, sizes, s, z, beta, v, lam):
             break
         _fill_system(P, G, lines, sizes, beta, v, scaled, lower)

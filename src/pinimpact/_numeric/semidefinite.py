@@ -45,6 +45,17 @@ def factor(matrix, order, lower, least):
     return size
 
 
+@inlined
+def forward(lower, order, rank, right, y):
+    """Fill the first `rank` entries of y with L₁₁⁻¹ times those of `right` in the order of the pivots."""
+    for k in range(rank):
+        i = order[k]
+        total = right[i]
+        for j in range(k):
+            total -= lower[i, j] * y[j]
+        y[k] = total / lower[i, k]
+
+
 @declared(FLOAT_ROWS, FLOATS, FLOATS)
 @external
 def solve_definite(matrix, target, solution):
@@ -57,12 +68,7 @@ def solve_definite(matrix, target, solution):
     lower, order, part = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty(size)
     if factor(matrix, order, lower, RANK) < size:
         return False
-    for k in range(size):
-        i = order[k]
-        total = target[i]
-        for j in range(k):
-            total -= lower[i, j] * part[j]
-        part[k] = total / lower[i, k]
+    forward(lower, order, size, target, part)
     for k in range(size - 1, -1, -1):
         total = part[k]
         for j in range(k + 1, size):

@@ -53,8 +53,3 @@ SETTLED = 1e-9
 
 STALLED = 1e-5
 """The same, below which the iteration ends if `PATIENCE` iterations have not halved it."""
-
-# ---- cone programs
-
-FALLS_BACK = 1e-6
-"""Accuracy from which on an increase of the residual means that double precision is exhausted."""

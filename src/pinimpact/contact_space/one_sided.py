@@ -7,17 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from .._numeric.tolerances import COMPUTED
 from ..arrays import Array
 from ..checks import in_short
 from ..errors import InputError
+from ._kernels.tolerances import NEAR_LIMIT
 from .inputs import ENTRY, NO_FACTOR, Inputs
 
 STEPS = 1e-5, 1e-6, 1e-8, 1e-10, 1e-12
 """Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""
-
-SETTLED, NEAR = 1e-10, 1e-4
-"""Distances of slopes from their limit, over their size: rounding; and the largest, from which on the limit
-is known, to about the square of that."""
 
 FOLLOWS = 0.05
 """Difference of slope and values up to which they do: at a jump or a root it is at least a half."""
@@ -57,7 +55,7 @@ def fill_one_sided(
             if len(found) < len(near) or not np.isfinite(found).all():
                 break
             limit, distance = _limit(*found)
-            if distance <= NEAR:
+            if distance <= NEAR_LIMIT:
                 best = limit
                 break
         beyond = moved(k, STEPS[0] * unit)
@@ -71,7 +69,7 @@ def fill_one_sided(
 def _limit(once: Array, twice: Array, again: Array) -> tuple[Array, float]:
     """Return the limit of slopes at h, 2h and 4h, which go as c hᵖ towards it, and its distance. (D32)"""
     size, change, more = (float(np.linalg.norm(x)) for x in (once, twice - once, again - twice))
-    if max(change, more) <= SETTLED * size:
+    if max(change, more) <= COMPUTED * size:
         return once, 0.0
     if not (more > change > 0.0 and size > 0.0):
         return once, np.inf

@@ -19,6 +19,7 @@ from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ._kernels.contact_forces import SLIP, STICK
+from ._kernels.tolerances import LEAST_INTERVAL
 from ._kernels.variations import changes_at_end, stage_equations
 from .control_slopes import HeldForces, forces_by_state, jacobian_of
 from .controls import JointPD
@@ -34,9 +35,6 @@ from .step_slopes import StepSlopes
 
 STEEP = 0.4
 """Where the speed of slip falls below this part of what it is elsewhere in an interval, it is halved."""
-
-SHORTEST = 1e-7
-"""Part of a step next to where slip begins or ends in which nothing changes but by the event itself."""
 
 
 class Radau(NamedTuple):
@@ -208,7 +206,7 @@ class MotionSlopes:
         for rule in RULES:
             nodes = self._slopes_within(step, start + h * rule.nodes)
             found, error = self._collocate(rule, nodes, h, x)
-            if error <= self._rtol or h <= SHORTEST * (step.end - step.start):
+            if error <= self._rtol or h <= LEAST_INTERVAL * (step.end - step.start):
                 return found
         middle = start + 0.5 * h
         return self._across(self._across(x, step, start, middle), step, middle, end)
@@ -228,7 +226,7 @@ class MotionSlopes:
         closed = step.closed
         if closed is None or not closed.slips:
             return [(step.start, until)]
-        shortest = SHORTEST * (step.end - step.start)
+        shortest = LEAST_INTERVAL * (step.end - step.start)
         found: list[tuple[float, float]] = []
         speeds = self.saltation.slopes.speeds
 

@@ -17,14 +17,12 @@ from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID
 from ._kernels.step_rows import StepRows
+from ._kernels.tolerances import STEPS_DRIFT
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
 from .step_sets import CLOSES, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
 from .step_taken import StepTaken
-
-DRIFTS = 1e-2
-"""Part of a change by which that of a closed gap may be more than zero: constraint drift, some h ω."""
 
 
 class _Rows(NamedTuple):
@@ -209,7 +207,7 @@ class StepSlopes:
         largest = np.nanmax(np.abs(np.concatenate([moved.middle, v_end])), initial=0.0)
         pinned = rows.jacobian[sets.rows[sets.closing == PINNED]]
         sizes = np.abs(pinned).sum(axis=1)
-        tied = (np.abs(pinned @ moved.middle) > DRIFTS * largest * sizes[:, None]).any(axis=0)
+        tied = (np.abs(pinned @ moved.middle) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
         if sets.tied:
             other = self._solve(taken, self._sets(taken, True), *given)
             tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)

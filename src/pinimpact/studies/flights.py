@@ -9,6 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from ..scene._kernels.tolerances import ATOL, RTOL
 from ..scene.scene import Scene
@@ -17,7 +18,7 @@ from ..scene.switched_off import altered_model
 ITERATIONS = 2
 """Of Gauss and Newton, from a start that is off by the noise of one difference: each squares the error."""
 
-DIFFERENCE = 1e-3
+DIFFERENCE = LITTLE
 """Step of differences by angular velocity [rad/s], whose errors are 10⁻⁶ of a slope."""
 
 _SKEW = np.array(

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import sqrtm
 from scipy.optimize import Bounds, minimize
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array, Integers
 from ..checks import choice, in_short, truth_value
 from ..errors import InputError
@@ -26,7 +27,7 @@ SAMPLES = 32
 FIRST, NEXT = 16, 256
 """Simulations, at most, by which the start of a fit is chosen, and by which that of whole motions is."""
 
-STEP = 1e-3
+STEP = LITTLE
 """Of differences by a parameter, in parts of its range."""
 
 CHUNKS = 32

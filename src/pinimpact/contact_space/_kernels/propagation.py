@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from ..._numeric.semidefinite import factor
+from ..._numeric.semidefinite import factor, forward
 from ..._numeric.tolerances import ROUNDING, TINY
 from .propagation_course import follow
 from .propagation_series import ORDER, new_series
@@ -141,14 +141,9 @@ def _make_consistent(w, v):
     m = len(v)
     order, lower, y = np.empty(m, dtype=np.int64), np.zeros((m, m)), np.empty(m)
     rank = factor(w, order, lower, NEGLIGIBLE)
-    for k in range(m):
+    forward(lower, order, rank, v, y)
+    for k in range(rank, m):
         row, made = order[k], 0.0
-        if k < rank:
-            y[k] = v[row]
-            for b in range(k):
-                y[k] -= lower[row, b] * y[b]
-            y[k] /= lower[row, k]
-            continue
         for b in range(rank):
             made += lower[row, b] * y[b]
         if row % 3 != 2 and w[row, row] > 0.0 and abs(made - v[row]) <= SLOW:

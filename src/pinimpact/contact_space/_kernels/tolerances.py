@@ -6,7 +6,7 @@ accelerations and forces are then of order one.
 
 from __future__ import annotations
 
-from ..._numeric.tolerances import COMPUTED, LITTLE, NOISE
+from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE
 
 # ---- one contact
 
@@ -27,7 +27,7 @@ CLOSE_TO_JUMP = 1e-2
 NEAR_THRESHOLD = 1e-6
 """Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
 
-ROOM = 1.0 + 1e-9
+ROOM = 1.0 + COMPUTED
 """How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
 
 COINCIDENT = COMPUTED
@@ -36,6 +36,10 @@ decides what derivatives hold."""
 
 FLAT = 1e-7
 """Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
+
+NEAR_LIMIT = 1e-4
+"""Distance of slopes from their limit to one side, over their size, from which on the limit is known, to
+about the square of that."""
 
 TAIL = NOISE
 """Angle, or part of the path times angle, by which slip still turns where its derivatives are those of
@@ -51,7 +55,7 @@ rounding. Shorter steps are not taken."""
 SLOW = 1e-10
 """A speed, in parts of the largest, at which what was held is not; and of an approach that is rest."""
 
-STOPS = 1e-7
+STOPS = HALF_DIGITS
 """A slip below this speed that runs straight at zero is taken there in one step, of second order."""
 
 SLIP_SPEED = NOISE

@@ -36,7 +36,7 @@ from .slip import (
     turn_references,
 )
 from .stiff_drives import rate_of_drives
-from .tolerances import LEAST_BEFORE
+from .tolerances import ITERATED
 from .workspace import SceneWorkspace
 
 
@@ -202,7 +202,7 @@ def set_growth(work, h, error):
     factor = min(5.0, 0.9 * error**-power)
     if work.previous_length > 0.0:
         trend = 0.9 * h / work.previous_length
-        factor = min(factor, trend * (max(work.previous_error, LEAST_BEFORE) / error**2) ** power)
+        factor = min(factor, trend * (max(work.previous_error, ITERATED) / error**2) ** power)
     work.previous_length, work.previous_error = h, error
     work.growth = max(factor, 0.2)
 

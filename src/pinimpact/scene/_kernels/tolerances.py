@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..._numeric.tolerances import COMPUTED, LITTLE, NOISE
+from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE
 from ..._numeric.tolerances import ROUNDING as ROUNDING
 
 # ---- defaults of options
@@ -57,14 +57,14 @@ RESTING = 1e-4
 
 # ---- impacts without collision
 
-SINGULAR = 1e-8
+SINGULAR = HALF_DIGITS
 """Forces whose effects cancel to this part are those of a singularity."""
 
 NEARLY_SINGULAR = 1e-4
 """How near a singularity is where it has let no step be short enough, or has been passed: the part to which
 the effects of forces cancel, or friction is too small, and the sine of the tilt of a rim."""
 
-NUDGE = 1e-8
+NUDGE = HALF_DIGITS
 """Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
 
 LEAST_NUDGE = 0.1 * NUDGE
@@ -82,12 +82,10 @@ LEAST_AHEAD = 1e-9
 """How far to look ahead for modes that begin without a jump at the least, in parts of a step."""
 
 ITERATED = 1e-2
-"""Part of the tolerance of a step to which its implicit equations are solved."""
+"""Part of the tolerance of a step to which its implicit equations are solved. Less than that says nothing of
+the trend of its error, by which the next step grows."""
 
-LEAST_BEFORE = 1e-2
-"""An error of the step before, over its tolerance, below which the next step grows no faster by the trend."""
-
-FIRST_STEP = 1e-4
+FIRST_STEP = LITTLE
 """Part of a time step that the first one of a crossing takes: what arrives without restitution is stopped in
 it, where it is."""
 
@@ -124,3 +122,9 @@ HELD_GAP = LITTLE
 REMAINS = 1e-4
 """Part of the changes of velocities that vanish that an event may leave of them, and by which accelerations
 may differ at one that does not change them."""
+
+LEAST_INTERVAL = HALF_DIGITS
+"""Part of a step next to where slip begins or ends in which nothing changes but by the event itself."""
+
+STEPS_DRIFT = 1e-2
+"""Part of a change by which that of a closed gap may be more than zero: constraint drift, some h ω."""
