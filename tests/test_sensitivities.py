@@ -656,8 +656,6 @@ def test_what_has_no_derivative_is_refused():
     refuses("callback of 'kick'.*jacobian=", replace(scene, events=[kick]))
     few = replace(kick, jacobian=lambda t, q, v: np.eye(9))
     refuses("jacobian: .*shape", replace(scene, events=[few]))
-    driven = replace(scene, control=with_jacobian(0.0, 1.0, np.array(q)))
-    refuses("continuous control in time steps", driven, scheme="time-stepping")
     refuses("expected", names=["mass"])
     refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)
     varying = replace(contact, restitution=lambda speed: 0.5)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from ..checks import finite_array
-from .controls import JointPD, SampledControl
+from .controls import JointPD, SampledControl, asked
 from .scene import Scene
 
 ControlJacobian = Callable[[float, Array, Array], ArrayLike]
@@ -28,6 +30,26 @@ def jacobian_of(scene: Scene) -> ControlJacobian | None:
 def forces_by_state(jacobian: ControlJacobian, t: float, q: Array, v: Array) -> Array:
     """Return what a jacobian does, checked, (nv, 2 nv)."""
     return finite_array("jacobian", jacobian(t, q.copy(), v.copy()), (len(v), 2 * len(v)))
+
+
+def change_of_forces(scene: Scene, h: float, t: float, state: tuple[Array, Array], x: Array) -> Array:
+    """Return the change (nv, n) of the forces of a control that is a function and has a jacobian.
+
+    Args:
+        scene: The scene.
+        h: Time over which the control changes little [s].
+        t: Time [s].
+        state: q (nq,) and v (nv,).
+        x: (2 nv + 1, n) changes of q, in the tangent space, of v, and of the time.
+    """
+    jacobian, control = jacobian_of(scene), scene.control
+    assert jacobian is not None
+    assert callable(control)
+    found = forces_by_state(jacobian, t, *state) @ x[:-1]
+    if x[-1].any():
+        first, last = (asked(control, t + s * h, *state) for s in (-LITTLE, LITTLE))
+        found += np.outer(last - first, x[-1]) / (2.0 * LITTLE * h)
+    return found
 
 
 class HeldForces:

@@ -172,11 +172,11 @@ class MotionSlopes:
         found = [Parameter(kind, labels.index(label)) for kind, _, label in split]
         nv = model.nv
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
-        self._of_steps = dynamics, model, found
         self._nv = nv
         self._given = 0 if tau is None else nv
         self._count = len(found)
         self._control = None if scene.period is not None else jacobian_of(scene)
+        self._of_steps = dynamics, model, found, scene if self._control is not None else None
         self.force = np.zeros((nv, 2 * nv + self._given + self._count))
         self.force[:, 2 * nv : 2 * nv + self._given] = np.eye(nv, self._given)
 
@@ -184,11 +184,6 @@ class MotionSlopes:
     def steps(self) -> StepSlopes:
         """Takes changes through time steps, where there are any."""
         return StepSlopes(*self._of_steps)
-
-    @property
-    def continuous(self) -> bool:
-        """Whether a function of the user's controls the motion continuously."""
-        return self._control is not None
 
     def initial(self) -> Array:
         """Return the changes at the start, (2nv, 2nv + the force's + parameters)."""
@@ -392,11 +387,6 @@ class Sensitivities:
         slopes, (step, before) = self._slopes, (self._steps[k], self._steps[max(k - 1, 0)])
         taken, reached = step.taken, before.taken if k > 0 else None
         x, boundary = self._starts[-1] if k > 0 else (slopes.initial(), Boundary.NONE)
-        if self._slopes.continuous:
-            raise InputError(
-                "sensitivities: not available with a continuous control in time steps, as at "
-                f"t = {step.start:.6g} s; give the scene a period="
-            )
         self._refuse(called)
         self._hold(max(k - 1, 0))
         saltation, steps = slopes.saltation, slopes.steps

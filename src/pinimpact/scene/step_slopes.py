@@ -18,9 +18,11 @@ from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID
 from ._kernels.step_rows import StepRows
 from ._kernels.tolerances import STEPS_DRIFT
+from .control_slopes import change_of_forces
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
+from .scene import Scene
 from .step_sets import CLOSES, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
 from .step_taken import StepTaken
 
@@ -74,13 +76,21 @@ class StepSlopes:
         dynamics: Dynamics of the scene.
         model: Its model.
         parameters: Coefficients by which the motion is differentiated; their columns are the last ones.
+        controlled: The scene, if its control is a function.
 
     Attributes:
         boundary: Flags of `Boundary`, set by the steps.
     """
 
-    def __init__(self, dynamics: SceneDynamics, model: pin.Model, parameters: Sequence[Parameter]) -> None:
+    def __init__(
+        self,
+        dynamics: SceneDynamics,
+        model: pin.Model,
+        parameters: Sequence[Parameter],
+        controlled: Scene | None,
+    ) -> None:
         check_joints(model)
+        self._controlled = controlled
         self._work, self._model = dynamics.work, model
         self._data, self._spare = model.createData(), model.createData()
         self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
@@ -182,6 +192,10 @@ class StepSlopes:
             slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h)
             by_state = slopes[0] @ middle + stiffness[:, None] * middle
             by_state += slopes[1] @ by_mean + damping[:, None] * by_mean
+            if self._controlled is not None:
+                moved = np.vstack([middle, by_mean, -0.5 * length])
+                given = step.start + 0.5 * h, (q, mean), moved
+                by_state -= change_of_forces(self._controlled, h, *given)
             return np.asarray(h * (force - by_state))
 
         first = found.predicted - v - h * taken.pushed
