@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, Scene, impact, simulate
+from pinimpact import Contact, Plane, Scene, Stepper, impact, simulate
 
 from .scene_models import UP, G, unbounded
 from .test_time_stepping import boxes
@@ -148,3 +148,18 @@ def test_what_lands_is_stopped_at_once_wherever_in_a_step(part):
     scene.model.gravity.linear[:] = 0.0
     run = simulate(scene, q0, v0, 6.0 * dt, scheme="time-stepping", dt=dt)
     assert run.v[-1] == pytest.approx(landed, abs=1e-3)
+
+
+@pytest.mark.parametrize("short", [1e-6, 1e-9])
+def test_short_steps_in_between_change_little(short):
+    """The impulses of a step predict those of the next, but not where that is a million times as long."""
+    scene, q0 = rod(0.3, 0.01, friction=0.1)
+    ends = []
+    for between in ((short,), ()):
+        stepper = Stepper(scene, q0, np.array([0.0, 0, 0, 0, 3.0, 0]), scheme="time-stepping", dt=1e-3)
+        for h in 240 * (1e-3, *between):
+            stepper.step(np.zeros(6), h)
+        stepper.step(np.zeros(6), 0.25 - stepper.t)
+        ends.append(np.concatenate([stepper.q, stepper.v]))
+        assert abs(stepper.trajectory.energy.residual).max() < 2e-4
+    assert ends[0] == pytest.approx(ends[1], abs=1e-2)

@@ -63,6 +63,7 @@ class HybridState:
         resting_forces: On what rests.
         warm_start, pushed: (nv,) where the iteration of a time step begins, see `step_impulses`; the mean
             acceleration by the impulses of the step before.
+        step_before: The length of that step [s].
         unsolved: The largest error of a contact problem in time steps so far.
         crossing, entering: Whether time steps are taken now; whether the next is the first of them.
         until, interval: The time until which they are taken, and the length of that interval [s].
@@ -106,6 +107,7 @@ class HybridState:
     resting_forces: StepForces | None = None
     warm_start: Array | None = None
     pushed: Array | None = None
+    step_before: float = 0.0
     unsolved: float = 0.0
     crossing: bool = False
     entering: bool = False

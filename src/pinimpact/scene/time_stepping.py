@@ -41,6 +41,10 @@ MOST_IMPACTS = 20
 FAILED = 0.1
 """What the contact problem may miss at the most, in parts of its velocities: more is no answer."""
 
+LONGER = 2.0
+"""How much longer a step may be than the one before whose impulses predict its own: a velocity that stopped
+in the short rest of a step, after an impact, would be predicted as many times."""
+
 MOST_REMOVALS = 10
 """Displacements at the end of a step; what overlaps after that is left to the next step."""
 
@@ -134,6 +138,9 @@ class TimeStepping(Integrator):
             strikes: Whether what closes fast is an impact; else it closes without restitution.
         """
         state, model = self.state, self.model
+        if h > LONGER * state.step_before:
+            state.pushed = self._no_change
+        state.step_before = h
         t, q, v, pushed = state.t, state.q, state.v, state.pushed
         middle = pin.integrate(model, q, 0.5 * h * v)
         self._faces.place(middle, v, h)
