@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -114,20 +115,12 @@ def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array,
     return result
 
 
-def _load_euler() -> Run:
-    from ._kernels.butcher import EULER
+def _load_steps(table: str, default: int) -> Run:
+    from ._kernels import butcher
 
-    def run(inputs: Inputs, trace: Array, path: Array, steps: int = 1000) -> Raw:
-        return _step(inputs, EULER, whole_number("steps", steps, 1, MOST_STEPS), 0.0, trace, path)
-
-    return run
-
-
-def _load_rk4() -> Run:
-    from ._kernels.butcher import RK4
-
-    def run(inputs: Inputs, trace: Array, path: Array, steps: int = 100) -> Raw:
-        return _step(inputs, RK4, whole_number("steps", steps, 1, MOST_STEPS), 0.0, trace, path)
+    def run(inputs: Inputs, trace: Array, path: Array, steps: int = default) -> Raw:
+        count = whole_number("steps", steps, 1, MOST_STEPS)
+        return _step(inputs, getattr(butcher, table), count, 0.0, trace, path)
 
     return run
 
@@ -159,12 +152,11 @@ def _load_solve_ivp() -> Run:
 
 
 register_method("exact", Method(_load_exact, "power series and closed forms, to rounding error"))
-register_method(
-    "euler", Method(_load_euler, "the paper's scheme: Euler steps in P₃, bisected at events", {"steps": 1000})
-)
-register_method(
-    "rk4", Method(_load_rk4, "Runge–Kutta steps of order 4 in P₃, bisected at events", {"steps": 100})
-)
+for _name, _table, _steps, _summary in (
+    ("euler", "EULER", 1000, "the paper's scheme: Euler steps in P₃, bisected at events"),
+    ("rk4", "RK4", 100, "Runge–Kutta steps of order 4 in P₃, bisected at events"),
+):
+    register_method(_name, Method(partial(_load_steps, _table, _steps), _summary, {"steps": _steps}))
 register_method(
     "adaptive", Method(_load_adaptive, "Dormand–Prince 5(4) in P₃ with chosen steps", {"rtol": RTOL})
 )
