@@ -81,13 +81,36 @@ def test_a_body_in_flight_falls_and_turns():
     assert np.allclose(found.state[:3, 6:9] @ np.ones(3), found.state[:3, 6:9].sum(axis=1))
 
 
+PULLS, DRAG = np.array([3, -2, 5, 0.2, 0.1, 0.3]), 0.1
+
+
+def swings(t, q, v):
+    """A control by q, v and the time."""
+    return np.cos(200.0 * t) * np.sin(q[:6]) * PULLS - DRAG * np.sin(v)
+
+
+def jacobian_of_swings(t, q, v):
+    turn = pin.Quaternion(q[3:7]).toRotationMatrix()
+    by_place = np.zeros((6, 6))
+    by_place[:3, :3] = turn
+    x, y, z, w = q[3:7]
+    by_place[3:, 3:] = 0.5 * np.array([[w, -z, y], [z, w, -x], [-y, x, w]])
+    by_q = np.cos(200.0 * t) * np.diag(np.cos(q[:6]) * PULLS) @ by_place
+    return np.hstack([by_q, -DRAG * np.diag(np.cos(v))])
+
+
+swings.jacobian = jacobian_of_swings
+
+
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
 @pytest.mark.parametrize("friction", [0.3, 2.0])
-def test_a_box_lands_on_a_corner_and_slides_or_turns_over_it(friction, restitution):
+@pytest.mark.parametrize("control", [None, swings])
+def test_a_box_lands_on_a_corner_and_slides_or_turns_over_it(friction, restitution, control):
+    """An impact cuts a step, so that the next one has another midpoint, at which a control is asked."""
     model = box()
     q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.2, 0.3, 0.2, 0.1]))
     v = np.array([0.5, 0.2, -0.3, 0.2, 0.1, 0.3])
-    run, _ = agrees(Scene(model, corners(friction, restitution)), q, v, 0.12, 2e-3)
+    run, _ = agrees(Scene(model, corners(friction, restitution), control=control), q, v, 0.12, 2e-3)
     assert (len(run.impacts) > 0) == (restitution > 0.0)
     assert any(interval.mode in ("slip", "stick") for interval in run.modes) or run.impacts
 
@@ -259,38 +282,3 @@ def test_two_gaps_that_close_at_once_have_no_derivative():
     found = run.sensitivity(0.01)
     assert Boundary.EVENTS_COINCIDE in found.boundary
     assert np.isnan(found.state).all()
-
-
-PULLS, DRAG = np.array([3, -2, 5, 0.2, 0.1, 0.3]), 0.1
-
-
-def swings(t, q, v):
-    """A control by q, v and the time."""
-    return np.cos(200.0 * t) * np.sin(q[:6]) * PULLS - DRAG * np.sin(v)
-
-
-def jacobian_of_swings(t, q, v):
-    turn = pin.Quaternion(q[3:7]).toRotationMatrix()
-    by_place = np.zeros((6, 6))
-    by_place[:3, :3] = turn
-    x, y, z, w = q[3:7]
-    by_place[3:, 3:] = 0.5 * np.array([[w, -z, y], [z, w, -x], [-y, x, w]])
-    by_q = np.cos(200.0 * t) * np.diag(np.cos(q[:6]) * PULLS) @ by_place
-    return np.hstack([by_q, -DRAG * np.diag(np.cos(v))])
-
-
-swings.jacobian = jacobian_of_swings
-
-
-@pytest.mark.parametrize("friction", [0.3, 2.0])
-@pytest.mark.parametrize("restitution", [0.0, 0.4])
-def test_a_control_that_is_a_function_of_time_and_state(friction, restitution):
-    """An impact cuts a step, so that the next one has another midpoint, at which the control is asked."""
-    model = box()
-    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.2, 0.3, 0.2, 0.1]))
-    v = np.array([0.5, 0.2, -0.3, 0.2, 0.1, 0.3])
-    scene = Scene(model, corners(friction, restitution), control=swings)
-    run, _ = agrees(scene, q, v, 0.12, 2e-3)
-    assert (len(run.impacts) > 0) == (restitution > 0.0)
-    still = simulate(replace(scene, control=None), q, v, 0.12, scheme="time-stepping", dt=2e-3)
-    assert np.abs(run.v[-1] - still.v[-1]).max() > 0.01
