@@ -15,7 +15,7 @@ from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import bounded_unknowns, expand, force_inverse, hold, natural_pace, unknown_after
 from .propagation_slip_onset import align, begin_at_bound
 from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
-from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED, WEAK
+from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
@@ -148,7 +148,7 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
         if tangent[j] == SLIPPING:
             unit[2 * j], unit[2 * j + 1] = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
     for j in range(n):
-        weight[j] = max(weight[j], WEAK * heaviest)
+        weight[j] = max(weight[j], NEGLIGIBLE * heaviest)
     return heaviest, root
 
 
@@ -160,7 +160,7 @@ def _redundant(system, state, weight):
         heaviest = max(heaviest, weight[j])
     at = np.empty(n, dtype=np.int64)
     for j in range(n):
-        if state.tangent[j] == STUCK and weight[j] > WEAK * heaviest:
+        if state.tangent[j] == STUCK and weight[j] > NEGLIGIBLE * heaviest:
             at[count] = j
             count += 1
     size = 2 * count
@@ -285,7 +285,7 @@ def _holding(system, state, forces):
             strongest = max(strongest, system.friction[j] * forces[3 * j + 2])
     at = np.empty(n, dtype=np.int64)
     for j in range(n):
-        if state.tangent[j] == STUCK and system.friction[j] * forces[3 * j + 2] > WEAK * strongest:
+        if state.tangent[j] == STUCK and system.friction[j] * forces[3 * j + 2] > NEGLIGIBLE * strongest:
             at[count] = j
             count += 1
     return at[:count].copy(), strongest

@@ -34,8 +34,9 @@ COINCIDENT = COMPUTED
 """Distance of two events, over all of P₃, and of μ from the stick threshold, over μ, up to which rounding
 decides what derivatives hold."""
 
-FLAT = 1e-7
-"""Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
+FLAT = HALF_DIGITS
+"""Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby. It
+is the root of how far that is."""
 
 NEAR_LIMIT = 1e-4
 """Distance of slopes from their limit to one side, over their size, from which on the limit is known, to
@@ -50,7 +51,7 @@ straight slip."""
 NEGLIGIBLE = COMPUTED
 """Part by which forces, accelerations, pivots, tangential velocities and times of events may differ and
 be one: they are sums of terms of order one, or come from velocities and W of a robot with their
-rounding. Shorter steps are not taken."""
+rounding. Shorter steps are not taken. And part of the largest bound below which friction does not matter."""
 
 SLOW = 1e-10
 """A speed, in parts of the largest, at which what was held is not; and of an approach that is rest."""
@@ -71,9 +72,6 @@ SAME = AHEAD
 """Part of the largest force by which forces that hold the same differ; and of a bound within which friction
 is at it: what `AHEAD` lets forces change. And part of the speed at which slips begin that the series of one
 that begins has to reach: its accelerations are off by as much."""
-
-WEAK = 1e-9
-"""Part of the largest bound below which friction does not matter."""
 
 BEGINS = 1e-4
 """Part of what its terms come to below which an acceleration or a force is only growing from zero."""
