@@ -35,10 +35,10 @@ it is less than two of them, some hundred where a joint and a contact hold nearl
 GAINED = 10.0
 """Factor on rtol: the part of the kinetic energy that friction may give by the errors of steps."""
 
-ROLLING = 0.25
+ROLLING = 2.0
 """Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
-grows with time and is no gain. With none of it rolling balls are refused, with all of it a gain of 0.4 % of
-the energy is not seen. In one step, friction may give what its own impulse does over that error."""
+grows with time and is no gain. A point that rolls has two of them, that of the body and that by its turning.
+In one step, friction may give what its own impulse does over that error."""
 
 
 def ended(instant: Instant, count: int) -> int:
