@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, Scene, Stepper, impact, simulate
+from pinimpact import Contact, Plane, Scene, Sphere, Stepper, impact, simulate
 
 from .scene_models import UP, G, unbounded
 from .test_time_stepping import boxes
@@ -163,3 +163,37 @@ def test_short_steps_in_between_change_little(short):
         ends.append(np.concatenate([stepper.q, stepper.v]))
         assert abs(stepper.trajectory.energy.residual).max() < 2e-4
     assert ends[0] == pytest.approx(ends[1], abs=1e-2)
+
+
+@pytest.mark.parametrize("gravity", [0.0, G])
+@pytest.mark.parametrize("speed", [1.0, 3.0, 5.0])
+def test_what_is_pressed_onto_a_curved_surface_stays_on_it(gravity, speed):
+    """The force of a point that circles a sphere is that which presses it less m v²/R, and it keeps its speed.
+
+    At midpoints its gap is open by h² v²/2R, more than gravity could close, and without gravity any gap is.
+    """
+    radius, press, duration = 0.1, 300.0, 0.2
+    model, joint = pin.Model(), 0
+    for kind in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"axis {joint}")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.01), pin.SE3.Identity())
+    model.addFrame(pin.Frame("point", joint, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    model.gravity.linear[:] = 0.0, 0.0, -gravity
+    contact = Contact("point", Sphere((0, 0, 0), radius), name="ball")
+
+    def control(t, q, v):
+        return -press * q / np.linalg.norm(q) + np.array([0.0, 0.0, gravity])
+
+    scene, errors = Scene(model, contact, control=control), []
+    for dt in (1e-3, 5e-4):
+        run = simulate(scene, [radius, 0, 0], [0, speed, 0], duration, scheme="time-stepping", dt=dt)
+        assert not run.impacts
+        forces = np.linalg.norm(run.forces("ball", np.linspace(0.01, 0.19, 181)), axis=1)
+        np.testing.assert_allclose(forces, press - speed**2 / radius, rtol=0.02)
+        turned = np.unwrap(np.arctan2(run.q[:, 1], run.q[:, 0]))[-1]
+        errors.append(
+            [turned - speed * duration / radius, np.abs(np.linalg.norm(run.q, axis=1) - radius).max()]
+        )
+    rough, fine = np.abs(errors)
+    assert rough[0] < 0.03
+    assert (fine < 0.3 * rough).all()  # of second order

@@ -51,12 +51,15 @@ class FacingShapes:
         dynamics: The scene's contacts.
         layout: Of the scene.
         rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
+        near: Distance within which shapes face each other at any speed [m].
     """
 
-    def __init__(self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout, rests: Bools) -> None:
+    def __init__(
+        self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout, rests: Bools, near: float
+    ) -> None:
         self._model, self._layout, self._rests = model, layout, rests
         self._dynamics, self._work = dynamics, dynamics.work
-        self._gravity = float(np.linalg.norm(model.gravity.linear))
+        self._near, self._gravity = near, float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
         every = [(layout.pairs[contact], numbers) for contact, numbers in layout.places(dynamics.contacts)]
         work = self._work
@@ -105,9 +108,10 @@ class FacingShapes:
         for i, blank in self._struck.items():
             self._dynamics.contacts[i] = blank
         self._struck.clear()
+        near = self._near + 8.0 * self._gravity * h * h
         if self.boxes:
             face_boxes(
-                *(self._work, q, v, h, self._gravity, touching, self._joints, self._boxes, self._ranges),
+                *(self._work, q, v, h, near, touching, self._joints, self._boxes, self._ranges),
                 *(self._blanks, self._rests, self.idle, self._used),
                 *(self._normals, self._points, self._others),
             )
@@ -125,7 +129,7 @@ class FacingShapes:
             within = touching
             if touching < 0.0:
                 speed = sum(self._speed(side) for side in (places.pair.a, places.pair.b))
-                within = h * speed + 8.0 * self._gravity * h * h
+                within = h * speed + near
             a, b = places.pair.placed(self._data)
             apart = a.rotation @ a.shape.center + a.translation - b.rotation @ b.shape.center - b.translation
             found = None

@@ -69,7 +69,7 @@ class TimeStepping(Integrator):
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = STEPS_STILL * (work.resting_speed or 1.0)
-        self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints)
+        self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._no_change = np.zeros(model.nv)
@@ -215,10 +215,8 @@ class TimeStepping(Integrator):
             )
             self.dynamics.check()
             self._check(t, off, found)
-            if not found.impulse.any():
-                break
-            # impulses may drive points in that were not near before
-            driven = self._numbers(middle, found.v_end, h, -self._touching, False)
+            # forces and impulses of the step may drive points in that were not near before
+            driven = self._numbers(middle, found.v_end, 2.0 * h, -self._touching, False)
             known = rows.near(self.work.contacts)
             joined = np.zeros(len(self._near), dtype=bool)
             joined[known] = True

@@ -45,7 +45,7 @@ def fill_contact(row, tip, base, normal, point, other):
 )
 @jit
 def face_boxes(
-    work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, rests, idle, used, normals, points, others
+    work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, idle, used, normals, points, others
 ):
     """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
 
@@ -54,8 +54,8 @@ def face_boxes(
         q: (nq,) configuration.
         v: (nv,) velocity.
         h: Time within which boxes may meet [s].
-        gravity: [m/s²].
-        touching: The distance within which boxes face each other [m]; below zero it follows from the time.
+        near: Distance within which boxes face each other at any speed [m].
+        touching: The same instead; below zero it follows from the time and `near` [m].
         joints: (k,) that carry the boxes.
         boxes: (k, `BOX`) see `HALF`.
         pairs: (p, 4) the two boxes, the first contact that is kept for them, and how many are.
@@ -85,7 +85,7 @@ def face_boxes(
         a, b, first, room = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
         if rests[joints[a]] and rests[joints[b]]:
             continue
-        within = touching if touching >= 0.0 else h * (speeds[a] + speeds[b]) + 8.0 * gravity * h * h
+        within = touching if touching >= 0.0 else h * (speeds[a] + speeds[b]) + near
         reach = boxes[a, REACH] + boxes[b, REACH] + within
         square = 0.0
         for e in range(9, 12):
