@@ -168,7 +168,7 @@ def test_short_steps_in_between_change_little(short):
 @pytest.mark.parametrize("gravity", [0.0, G])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 5.0])
 def test_what_is_pressed_onto_a_curved_surface_stays_on_it(gravity, speed):
-    """The force of a point that circles a sphere is that which presses it less m v²/R, and it keeps its speed.
+    """The force on a point that circles a sphere is the press less m v²/R, and it keeps its speed.
 
     At midpoints its gap is open by h² v²/2R, more than gravity could close, and without gravity any gap is.
     """
