@@ -282,3 +282,28 @@ def test_two_gaps_that_close_at_once_have_no_derivative():
     found = run.sensitivity(0.01)
     assert Boundary.EVENTS_COINCIDE in found.boundary
     assert np.isnan(found.state).all()
+
+
+def test_an_impact_beside_a_closed_limit():
+    """It happens where the linear gap is zero, so that the gap itself depends on the state.
+
+    The contact point of an impact of several is that of the surface, which follows the gap.
+    """
+    model = pin.Model()
+    upper = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "upper")
+    model.appendBodyToJoint(
+        upper, pin.Inertia(1.0, np.array([0.2, 0, 0]), 0.02 * np.eye(3)), pin.SE3.Identity()
+    )
+    lower = model.addJoint(upper, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.4, 0, 0])), "lower")
+    side = model.addJoint(lower, pin.JointModelRX(), pin.SE3.Identity(), "side")
+    model.appendBodyToJoint(
+        side, pin.Inertia(0.7, np.array([0.2, 0, 0]), 0.01 * np.eye(3)), pin.SE3.Identity()
+    )
+    model.addFrame(
+        pin.Frame("tip", side, pin.SE3(np.eye(3), np.array([0.4, 0.1, 0.05])), pin.FrameType.OP_FRAME)
+    )
+    model.lowerPositionLimit = np.array([-9.0, -9.0, -9.0])
+    model.upperPositionLimit = np.array([0.1, 9.0, 9.0])
+    scene = Scene(model, Contact("tip", Plane((0, 0, -0.35)), 0.3, 0.6), limit_restitution=0.0)
+    run, _ = agrees(scene, np.array([0.1, 0.2, 0.3]), np.array([0.0, 1.0, 2.0]), 0.24, 4e-3, [1, 2, 4, 5])
+    assert {record.source for record in run.impacts} == {"tip on plane", "upper upper"}

@@ -24,7 +24,7 @@ from .held import check_at_rest
 from .many_impact import check_many, many_problem
 from .matrices import ManyMatrices, checked_matrices
 from .names import free_velocities, model_of
-from .placed_robot import PlacedRobot
+from .placed_robot import ContactGeometry, PlacedRobot
 from .touching import check_rims
 
 
@@ -77,6 +77,12 @@ class _Row(NamedTuple):
         f1, f2, f3 = force.tolist()
         places.force_slopes(*self.tree, self.place.at, self.place.shifts, f1, f2, f3, out)
 
+    def move_onto_surface(self, at: ContactGeometry) -> None:
+        """Take the point of the surface below the tip: it moves with the gap and the normal."""
+        place, shifts, n = self.place.at, self.place.shifts, at.axes[2]
+        place[places.POINT : places.POINT + 3] -= at.gap * n
+        shifts[:, :3] -= np.outer(at.h, n) + at.gap * np.cross(shifts[:, places.TURN : places.TURN + 3], n)
+
     def turned(self, force: Array) -> Array:
         """Return how a force (3,) that is fixed in the contact axes changes with q, (3, nv)."""
         return np.cross(self.place.shifts[:, places.TURN : places.TURN + 3], force).T
@@ -90,6 +96,7 @@ class RowSlopes:
         contacts: The k contacts.
         corners: By place among these: of contacts of two shapes, the corners that they stand for.
         spare: A Data of the model, of which nothing else is read.
+        on_surface: Whether contact points are those of the surfaces, see `contact_kinematics.jacobian`.
 
     Attributes:
         axes: (3, 3) of each contact, as rows.
@@ -106,27 +113,32 @@ class RowSlopes:
         contacts: Sequence[Contact],
         corners: Mapping[int, Corner] | None = None,
         spare: pin.Data | None = None,
+        on_surface: bool = False,
     ) -> None:
         model, corners = placed.model, corners or {}
         self._placed, self._tree = placed, Tree.of(placed)
         self._data = model.createData() if spare is None else spare
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
         contacts = [corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)]
-        self.axes, self.rows = self.of(contacts, True)
+        at, self.rows = self.of(contacts, True)
+        self.axes = [one.axes for one in at]
         ties = [
             corner.follow(placed.data, self._tree.J, self.rows[k].place.shifts)
             for k, corner in corners.items()
         ]
         self.features_meet = any(ties)
+        if on_surface:
+            for row, one in zip(self.rows, at, strict=True):
+                row.move_onto_surface(one)
 
-    def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[Array], list[_Row]]:
-        """Return axes and rows of contacts, with components along the axes or in the world."""
+    def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[ContactGeometry], list[_Row]]:
+        """Return geometry and rows of contacts, with components along the axes or in the world."""
         at, tree = [self._placed.geometry(contact) for contact in contacts], self._tree
         rows = [
             _Row(tree, contact_place(self._placed, tree, *one, turns, len(tree.joint)))
             for one in zip(contacts, at, strict=True)
         ]
-        return [one.axes for one in at], rows
+        return at, rows
 
     def motions(self, x: Array) -> Array:
         """Return the motions (joints, 6) of velocities x (nv,)."""
@@ -156,7 +168,7 @@ class ManySlopes:
         matrices: Of contacts and stops, which come last.
         held: Held contacts.
         free: (nv,) which velocities are not locked.
-        corners: See `RowSlopes`.
+        corners, on_surface: See `RowSlopes`.
 
     Attributes:
         delassus: (nv, 3n, 3n) ∂W/∂q. (D17), (D21)
@@ -170,9 +182,10 @@ class ManySlopes:
         held: Sequence[Contact],
         free: Bools,
         corners: Mapping[int, Corner] | None = None,
+        on_surface: bool = False,
     ) -> None:
         self.matrices, self._free, self._placed = matrices, free, placed
-        self._robot = robot = RowSlopes(placed, contacts, corners)
+        self._robot = robot = RowSlopes(placed, contacts, corners, None, on_surface)
         self._held = robot.of(held, False)[1]
         nv, m = matrices.response.shape
         moved, self._moved_held = np.zeros((m, m, nv)), np.zeros((m, 3 * len(held), nv))

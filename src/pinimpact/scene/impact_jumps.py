@@ -239,7 +239,8 @@ class GroupJump:
         limits = [dynamics.limits[i - count] for i in group.sources if i >= count]
         mobility = scene.free.astype(np.float64)
         self._matrices = matrices_of_all(placed, self._contacts, limits, scene.held, mobility)
-        self._slopes = ManySlopes(placed, self._contacts, self._matrices, scene.held, scene.free, known)
+        given = placed, self._contacts, self._matrices, scene.held, scene.free, known
+        self._slopes = ManySlopes(*given, on_surface=True)
         velocity, now = self._matrices.velocity(record.v_before), modes[self._sources]
         self._rates, self._closed = velocity[:, 2].copy(), now > 0
         # what is closed has velocities only by the error of steps
