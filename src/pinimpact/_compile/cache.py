@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from typing import Any
 
@@ -122,6 +122,13 @@ class _WheelCache(_DiskCache):
         """Leave the files as they are."""
 
 
+class _NoWheel(NullCache):
+    """In place of a `_WheelCache`, where its kernels cannot be used."""
+
+    def knows(self, types: Any, codegen: Any) -> bool:
+        return False
+
+
 @cache
 def lock() -> CacheLock | None:
     """Return the lock of the cache folder; None if no folder is writable."""
@@ -196,8 +203,8 @@ class KernelCache(NullCache):
 
     def knows(self, types: Any) -> bool:
         """Whether the kernel is cached for some types of arguments."""
-        codegen, disk = self._kernel.targetctx.codegen(), self._find()
-        return (self.on_disk and disk.knows(types, codegen)) or self._in_wheel(types, codegen)
+        codegen = self._kernel.targetctx.codegen()
+        return (self.on_disk and self._disk.knows(types, codegen)) or self._find_wheel().knows(types, codegen)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = pool.present.borrow(self._kernel, self._job(sig)) if pool.present is not None else None
@@ -223,22 +230,20 @@ class KernelCache(NullCache):
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         found = self._find().load_overload(sig, target_context)
-        if found is None and self._in_wheel(sig, target_context.codegen()):
-            found = self._wheel.load_overload(sig, target_context)
+        if found is None:
+            found = self._find_wheel().load_overload(sig, target_context)
         if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
             found = None
         return found
 
-    def _in_wheel(self, types: Any, codegen: Any) -> bool:
-        """Whether the kernel came with the package, compiled for processors such as this one."""
-        if not portable.runs_here():
-            return False
+    def _find_wheel(self) -> Any:
+        """Return the cache of what came with the package, compiled for processors such as this one."""
         if self._wheel is None:
-            try:
-                self._wheel = _WheelCache(self._kernel.py_func)
-            except RuntimeError:  # the package is in an archive
-                self._wheel = NullCache()
-        return isinstance(self._wheel, _WheelCache) and self._wheel.knows(types, codegen)
+            self._wheel = _NoWheel()
+            if portable.runs_here():
+                with suppress(RuntimeError):  # the package is in an archive
+                    self._wheel = _WheelCache(self._kernel.py_func)
+        return self._wheel
 
     def _find(self) -> Any:
         if self._disk is None:

@@ -48,7 +48,6 @@ LONG = 500
 POLISH = 8
 """Steps of Newton's method per trial."""
 
-
 SOFTER = 1e-2, 1e-3, 1e-4, 2.0 * SMALL
 """Parts of the largest of W that compliances are, one after another, where small ones alone converge badly:
 at a hundredth it is clear which bounds forces reach."""

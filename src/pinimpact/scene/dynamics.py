@@ -309,6 +309,10 @@ class SceneDynamics:
         fastest = float(pace.max(initial=0.0)) * rtol
         return 0.01 / fastest if fastest > 0.0 else 0.01
 
+    def fastest(self, v: Array) -> float:
+        """Return the largest of velocities v (nv,) [m/s], see `joint_metres`."""
+        return float(np.abs(self.work.joint_metres * v).max(initial=0.0))
+
     def resolving_length(self) -> float:
         """Return the longest step that resolves how drives settle, which implicit steps need not.
 

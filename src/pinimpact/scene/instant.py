@@ -242,8 +242,7 @@ class Instant:
 
     def error(self, v: Array) -> float:
         """Return the error of a step in a velocity (nv,) [m/s]."""
-        work = self.dynamics.work
-        return float(work.atol + work.rtol * np.abs(work.joint_metres * v).max(initial=0.0))
+        return self.dynamics.work.atol + self.dynamics.work.rtol * self.dynamics.fastest(v)
 
     def _closed(self, chosen: Integers) -> list[int]:
         """Return those of contacts and limits that are chosen and not held."""

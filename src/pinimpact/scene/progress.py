@@ -84,9 +84,8 @@ class Progress:
         if count <= MAX_STALLED:
             return None
         covered, t = state.t - then, state.t
-        metres = self._instant.dynamics.work.joint_metres
-        moved = float(np.abs(metres * (state.v - velocity)).max(initial=0.0))
-        fastest = float(np.abs(metres * velocity).max(initial=0.0))
+        dynamics = self._instant.dynamics
+        moved, fastest = dynamics.fastest(state.v - velocity), dynamics.fastest(velocity)
         # at rest velocities change by errors alone, which are small beside those of the scene's scales
         stays = covered < PROGRESS * self._time_scale and moved <= PROGRESS * max(fastest, self._speed)
         if self._jumps and stays and ended(self._instant, count) < BY_EVENTS * count:

@@ -162,8 +162,7 @@ class TimeStepping(Integrator):
         state.impact_energy += lost
         state.t = step.end
         state.q, state.v = step.at(step.end)
-        numbers = np.concatenate([rows.contacts, rows.limits + self.work.contacts])
-        closing = found.arrives & (found.gap_end < 0.0) & self._collides[numbers]
+        closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
         if closing.any():
             self._sample()
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
