@@ -244,6 +244,20 @@ def test_what_is_nearly_closed_where_a_step_begins_bounces(apart, dt):
     assert trajectory.v[-1] == pytest.approx(reference.v[-1], abs=1e-3)
 
 
+@pytest.mark.parametrize("height", [0.12, 0.123, 0.126])
+def test_a_point_of_a_body_that_spins_fast_bounces_elastically(height):
+    """The tip goes along a circle, 3.4 degrees in a step: a straight path from the midpoint is too short."""
+    inertia = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+    model = free_body(inertia, [(0.1, 0.0, 0.0)])
+    model.gravity.linear[:] = 0.0
+    scene = Scene(model, Contact("tip0", FLOOR, friction=0.0, restitution=1.0))
+    q, v = [0, 0, height, 0, 0, 0, 1], np.array([0, 0, -1.0, 0, 60.0, 0])
+    trajectory = step(scene, q, v, 0.05, 1e-3)
+    assert len(trajectory.impacts) == 1
+    energies = [0.5 * one @ inertia.matrix() @ one for one in (v, trajectory.v[-1])]
+    assert energies[1] == pytest.approx(energies[0], abs=1e-3)
+
+
 @pytest.mark.parametrize(("friction", "sliding"), [(1.0, 0.0), (0.0, 1.0)])
 def test_an_impact_without_restitution_has_its_own_friction(friction, sliding):
     model = slider()

@@ -200,15 +200,24 @@ class Instant:
         """
         resolved: list[dict[str, Any]] = []
         while self.names:
-            gaps, rates = self.dynamics.gaps_at(self.state.q, self.state.v).T
-            near = gaps <= touching
-            near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
-            i = int(np.argmin(np.where(near, rates, math.inf)))
-            if not (near[i] and rates[i] < -slowest):
+            near, i, rate = self.approach(self.state.q, self.state.v, touching)
+            if rate >= -slowest:
                 break
             self._where[:] = np.where(near, ARRIVING, APART)
-            resolved += self._strike(i, -float(rates[i]), resolved)
+            resolved += self._strike(i, -rate, resolved)
         self._keep(resolved)
+
+    def approach(self, q: Array, v: Array, touching: float) -> tuple[Bools, int, float]:
+        """Return what is nearer than a distance [m] in a state, which of it approaches fastest, and its rate.
+
+        The rate [m/s] is infinite if nothing is.
+        """
+        gaps, rates = self.dynamics.gaps_at(q, v).T
+        near = gaps <= touching
+        near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
+        rates = np.where(near, rates, math.inf)
+        i = int(np.argmin(rates))
+        return near, i, float(rates[i])
 
     def _without_forces(self, v: Array, jammed: int) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.

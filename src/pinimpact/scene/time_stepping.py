@@ -118,10 +118,18 @@ class TimeStepping(Integrator):
         none = HALF_DIGITS * min(left, self._dt)
         if stop - state.t - left < none:
             left = stop - state.t
-        end = state.t + left
-        while left > none and self.state.ended_by is None:
-            struck += self._take(left, struck < MOST_IMPACTS)
-            left = end - state.t
+        begin, end = state.t, state.t + left
+        ends = [end]
+        while ends and self.state.ended_by is None:
+            if ends[-1] - state.t <= none:
+                begin = ends.pop()
+                continue
+            cut = self._take(ends[-1] - state.t, struck < MOST_IMPACTS)
+            struck += cut is not False
+            if cut is None:  # halves of halves: times that do not depend on the motion
+                while (middle := 0.5 * (begin + ends[-1])) <= state.t:
+                    begin = middle
+                ends.append(middle)
         if self.state.ended_by is None and abs(end - state.t) <= none:
             state.t = self.record.dense_steps[-1].end = stop if end == stop else end
         state.steps += 1
@@ -130,14 +138,19 @@ class TimeStepping(Integrator):
 
     # ---- one step
 
-    def _take(self, h: float, strikes: bool) -> bool:
-        """Take a step, to the first impact in it at the longest; return whether there was one.
+    def _take(self, h: float, strikes: bool) -> bool | None:
+        """Take a step, to the first impact in it at the longest.
 
         Args:
             h: Its length [s].
             strikes: Whether what closes fast is an impact; else it closes without restitution.
+
+        Returns:
+            Whether there was one, or None if the step is not taken: gaps that are extrapolated from its
+            midpoint close where nothing touches, as points of what turns fast do not go straight.
         """
         state, model = self.state, self.model
+        before = state.pushed, state.step_before
         if h > LONGER * state.step_before:
             state.pushed = self._no_change
         state.step_before = h
@@ -151,6 +164,14 @@ class TimeStepping(Integrator):
         step.end = t + share * h
         if self.record.keeps_steps:
             step.taken = self._taken(h, (middle, system.softened, pushed), axes, rows, found)
+        closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
+        slowest = within = 0.0
+        if closing.any():
+            rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
+            slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
+            if not self._meets(*step.at(step.end), slowest, within):
+                state.pushed, state.step_before = before
+                return None
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
         self.record.dense_steps.append(step)
         if self.events:
@@ -162,15 +183,12 @@ class TimeStepping(Integrator):
         state.impact_energy += lost
         state.t = step.end
         state.q, state.v = step.at(step.end)
-        closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
         if closing.any():
             self._sample()
-            rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
-            within = STEPS_TOGETHER * h * float(rates.max())
             if step.taken is not None:
                 touches = closing & (_gaps_at(share, h, rows, found) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
-            self._collide(0.5 * float(rates.min()), within, step.taken)
+            self._collide(slowest, within, step.taken)
             return True
         active = ~found.arrives
         moved = self._no_change
@@ -411,6 +429,13 @@ class TimeStepping(Integrator):
         return potential if self._mass_constant else potential + kinetic_energy(model, data, q, self.state.v)
 
     # ---- impacts
+
+    def _meets(self, q: Array, v: Array, slowest: float, within: float) -> bool:
+        """Return whether anything collides in a state; arguments are those of `_collide`."""
+        touching = max(self._touching, within)
+        self._faces.place(q, v, 0.0, touching=touching)
+        rate = self.instant.approach(q, v, touching)[2]
+        return rate < -max(self.work.resting_speed, slowest)
 
     def _collide(self, slowest: float = 0.0, within: float = 0.0, taken: StepTaken | None = None) -> None:
         """Resolve the impacts of this instant.
