@@ -258,6 +258,19 @@ def test_a_point_of_a_body_that_spins_fast_bounces_elastically(height):
     assert energies[1] == pytest.approx(energies[0], abs=1e-3)
 
 
+@pytest.mark.parametrize("first", [1e-7, 1e-4])
+def test_what_begins_to_move_slowly_is_not_at_rest(first):
+    """After a short step its speed is below all that counts: 1 nm/s."""
+    acceleration = 0.01
+    model = slider()
+    model.gravity.linear = np.array([acceleration + 0.2 * G, 0.0, -G])
+    scene = Scene(model, Contact(model.frames[-1].name, FLOOR, friction=0.2))
+    stepper = pinimpact.Stepper(scene, np.zeros(3), np.zeros(3), scheme="time-stepping", dt=1e-3)
+    stepper.step(np.zeros(3), first)
+    q, _ = stepper.step(np.zeros(3), 0.5)
+    assert q[0] == pytest.approx(0.5 * acceleration * stepper.t**2, rel=1e-6)
+
+
 @pytest.mark.parametrize(("friction", "sliding"), [(1.0, 0.0), (0.0, 1.0)])
 def test_an_impact_without_restitution_has_its_own_friction(friction, sliding):
     model = slider()

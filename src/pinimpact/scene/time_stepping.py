@@ -274,13 +274,22 @@ class TimeStepping(Integrator):
             active: (nc + nl,) contacts and limits that took part.
             velocities: At its start, at its end, and that of taking away overlap, (nv,) each.
         """
-        nc, every = len(rows.contacts), len(rows.surface)
+        nc, every, pushed = len(rows.contacts), len(rows.surface), self.state.pushed
+        assert pushed is not None
         items = np.ones(len(rows.counts) - 2 * nc, dtype=bool)
         items[:nc] = active[:nc]
         items[3 * every - 2 * nc :][: len(rows.limits)] = active[nc:]
         islands = np.empty(self._trees, dtype=np.int64)
         trees_at_rest(
-            *(*velocities, self.work.joint_metres, self._still, self._tree, rows.columns, rows.counts),
+            *(
+                *velocities,
+                step.h * pushed,
+                self.work.joint_metres,
+                self._still,
+                self._tree,
+                rows.columns,
+                rows.counts,
+            ),
             *(nc, items, rows.surface, islands),
         )
         if step.closed is not None and self._rest.begin(islands, step.closed):

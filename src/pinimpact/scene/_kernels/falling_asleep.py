@@ -7,24 +7,28 @@ import numpy as np
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import jit
 from .step_impulses import label_trees
+from .tolerances import STEPS_LEFT
 
 
 @declared(
-    *(FLOATS, FLOATS, FLOATS, FLOATS, float),
+    *(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, float),
     *(INTEGERS, INTEGER_ROWS, INTEGERS, int, FLAGS, FLOAT_ROWS, INTEGERS),
     result=int,
 )
 @jit
-def trees_at_rest(v, v_end, moved, metres, still, tree, columns, counts, contacts, active, surface, island):
+def trees_at_rest(
+    v, v_end, moved, pushed, metres, still, tree, columns, counts, contacts, active, surface, island
+):
     """Fill the island of each tree that has come to rest, −1 for the others; return how many have.
 
     An island rests where none of its velocities exceeds what counts as none, at the start of the step and at
-    its end: the next step is the same, and so are its impulses.
+    its end, and impulses take away all of its change: the next step is the same, and so are its impulses.
 
     Args:
         v: (nv,) velocity at the start of the step.
         v_end: (nv,) at the end.
         moved: (nv,) displacement by which overlap was taken away, over the length of the step.
+        pushed: (nv,) change of the velocity by the impulses of the step.
         metres: (nv,) per unit of each velocity, see `joint_metres`.
         still: What counts as none [m/s].
         tree: (nv,) number of the tree that each velocity belongs to.
@@ -36,12 +40,16 @@ def trees_at_rest(v, v_end, moved, metres, still, tree, columns, counts, contact
     """
     label, first = np.empty(len(island), dtype=np.int64), np.empty(len(active), dtype=np.int64)
     label_trees(columns, counts, contacts, active, tree, label, first)
-    rests = np.empty(len(island), dtype=np.bool_)
+    rests, left = np.empty(len(island), dtype=np.bool_), np.zeros(len(island))
     for k in range(len(rests)):
         rests[k] = True
     for c in range(len(v)):
-        if metres[c] * max(abs(v[c]), abs(v_end[c]), abs(moved[c])) > still:
-            rests[label[tree[c]]] = False
+        k = label[tree[c]]
+        left[k] = max(left[k], STEPS_LEFT * metres[c] * abs(pushed[c]))
+    for c in range(len(v)):
+        k, fastest = label[tree[c]], max(abs(v[c]), abs(v_end[c]), abs(moved[c]))
+        if metres[c] * fastest > still or metres[c] * abs(v_end[c] - v[c]) > left[k]:
+            rests[k] = False
     for i in range(len(surface)):
         item = i if i < contacts else contacts + 3 * (i - contacts)
         for e in range(3):

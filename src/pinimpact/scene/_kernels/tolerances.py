@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE
+from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE, SETTLED
 from ..._numeric.tolerances import ROUNDING as ROUNDING
 
 # ---- defaults of options
@@ -104,6 +104,10 @@ STEPS_TOGETHER = 1e-2
 STEPS_STILL = 1e-5
 """Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
 leaves at rest."""
+
+STEPS_LEFT = 10.0 * SETTLED
+"""Part of what impulses change of velocities that the contact problem leaves at rest: what changes by more
+has begun to move, however little that is after a short step."""
 
 TURN = 1e-2
 """Angle [rad] below which functions of it are series, whose next terms are below rounding."""
