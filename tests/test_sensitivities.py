@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import coal
@@ -166,6 +167,17 @@ def test_a_block_slides_to_a_stop():
     assert np.allclose(found.parameters["friction:block"][:3], [-(1.5**2) / (0.08 * 9.81), 0, 0], rtol=1e-6)
     assert np.allclose(found.state[3:], 0.0, atol=1e-12)
     assert np.allclose(found.state[:3, :3], np.diag([1.0, 1.0, 0.0]), atol=1e-12)
+
+
+def test_intervals_are_halved_down_to_a_rounding_of_time():
+    # slip stops between two neighbouring numbers, as where several feet stop one after the other
+    scene = Scene(point("block"), [Contact("block centre", Plane(), 0.2, name="block")])
+    run = simulate(scene, np.zeros(3), np.array([1.5, 0.0, 0.0]), 1.0, sensitivities="state")
+    slopes, steps = run.sensitivities._slopes, run.sensitivities._steps
+    last = [step for step in steps if step.closed is not None and step.closed.slips][-1]
+    step = replace(last, start=np.nextafter(last.end, 0.0), h=math.ulp(last.end))
+    assert np.linalg.norm(step.at(step.start)[1]) > 0.1
+    assert np.isfinite(slopes.along(slopes.initial(), step, step.end)).all()
 
 
 def test_a_block_slides_up_and_back():

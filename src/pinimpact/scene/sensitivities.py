@@ -201,7 +201,7 @@ class MotionSlopes:
         for rule in RULES:
             nodes = self._slopes_within(step, start + h * rule.nodes)
             found, error = self._collocate(rule, nodes, h, x)
-            if error <= self._rtol or h <= LEAST_INTERVAL * (step.end - step.start):
+            if error <= self._rtol or h <= _shortest(step):
                 return found
         middle = start + 0.5 * h
         return self._across(self._across(x, step, start, middle), step, middle, end)
@@ -221,7 +221,7 @@ class MotionSlopes:
         closed = step.closed
         if closed is None or not closed.slips:
             return [(step.start, until)]
-        shortest = LEAST_INTERVAL * (step.end - step.start)
+        shortest = _shortest(step)
         found: list[tuple[float, float]] = []
         speeds = self.saltation.slopes.speeds
 
@@ -256,6 +256,11 @@ class MotionSlopes:
         return changes_at_end(
             *(h, *rule[1:], turned, len(x), self._given), *(nodes.inverse, start, moved, rates)
         )
+
+
+def _shortest(step: DenseStep) -> float:
+    """Return the length of an interval that is not halved [s]: times between its ends are to exist."""
+    return max(LEAST_INTERVAL * (step.end - step.start), 2.0 * math.ulp(step.end))
 
 
 def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> Array:
