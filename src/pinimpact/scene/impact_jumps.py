@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -84,7 +85,11 @@ class ImpactJumps:
         return np.asarray(islands(roots, roots[work.contact_joints[active]])[roots[work.velocity_joint]])
 
     def of(
-        self, record: ImpactRecord, modes: Integers, corners: Mapping[int, Corner] | None = None
+        self,
+        record: ImpactRecord,
+        modes: Integers,
+        corners: Mapping[int, Corner] | None = None,
+        error: float = math.inf,
     ) -> SingleJump | GroupJump:
         """Return the derivatives of an impact.
 
@@ -92,12 +97,13 @@ class ImpactJumps:
             record: The impact.
             modes: Of contacts and limits before it.
             corners: What contacts of two shapes stand for, by number, where that is known.
+            error: Part of the largest velocity up to which what is closed has velocities by errors only.
         """
         group = None if record.group is None else record.group[0]
-        if group is not None and (len(group.sources) > 1 or group.policy != "propagate"):
-            return GroupJump(
-                self, record, modes, self._corners(record, group) if corners is None else corners
-            )
+        within_step = error < math.inf  # where the gap of what closes need not vanish
+        if group is not None and (within_step or len(group.sources) > 1 or group.policy != "propagate"):
+            corners = self._corners(record, group) if corners is None else corners
+            return GroupJump(self, record, modes, corners, error)
         (number,), resting, law = self.sources(record), record.resting, None
         if group is not None:  # others that are closed are lifted
             resting, law = float(group.problem.restitution[0]) == 0.0, "energetic"
@@ -207,6 +213,7 @@ class GroupJump:
         record: One of the records of the impact.
         modes: Of contacts and, past those, limits before it; zero is open.
         corners: What contacts of two shapes stand for, by number.
+        error: See `ImpactJumps.of`.
 
     Raises:
         InputError: A contact of two collision shapes is among them that stands for no known corner.
@@ -218,6 +225,7 @@ class GroupJump:
         record: ImpactRecord,
         modes: Integers,
         corners: Mapping[int, Corner],
+        error: float,
     ) -> None:
         assert record.group is not None
         group, dynamics = record.group[0], scene.dynamics
@@ -243,8 +251,8 @@ class GroupJump:
         self._slopes = ManySlopes(*given, on_surface=True)
         velocity, now = self._matrices.velocity(record.v_before), modes[self._sources]
         self._rates, self._closed = velocity[:, 2].copy(), now > 0
-        # what is closed has velocities only by the error of steps
         self._still = np.column_stack([now > SLIP, now > SLIP, now > 0])
+        self._still &= np.abs(velocity) <= error * np.abs(velocity).max()
         self._still[len(self._contacts) :, :2] = False
         velocity[self._still] = 0.0
         problem = group.problem

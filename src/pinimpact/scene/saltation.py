@@ -31,6 +31,7 @@ from .options import Options
 from .records import EventRecord, ImpactRecord
 from .rolling_over import rolls_over
 from .scene import Scene
+from .step_sets import TIED
 
 SLOWEST = 1e3
 """A gap that closes slower than so many errors of a velocity closes at no certain time."""
@@ -282,7 +283,9 @@ class Saltation:
         modes: Integers,
         corners: Mapping[int, Corner],
     ) -> Array:
-        """Return how changes x (2nv, n) of the state that impacts of an instant meet are after them.
+        """Return how changes x (2nv, n) before impacts within a time step are after them.
+
+        There what is closed moves: its velocities vanish only where steps end.
 
         Args:
             x: The changes.
@@ -293,7 +296,7 @@ class Saltation:
         records = {id(one if one.group is None else one.group[0]): one for one in impacts}.values()
         if any(one.resting for one in impacts):
             self.boundary |= Boundary.LAST_BOUNCE
-        return self._after(x, [self._jumps.of(record, modes, corners) for record in records])
+        return self._after(x, [self._jumps.of(record, modes, corners, TIED) for record in records])
 
     def _after(self, x: Array, jumps: Sequence[SingleJump | GroupJump]) -> Array:
         """Return changes after some impacts, one after another."""
