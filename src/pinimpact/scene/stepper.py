@@ -149,9 +149,9 @@ class Stepper:
     def linearize(self, tau: ArrayLike, dt: float) -> Linearization:
         """Return A = ∂x⁺/∂x and B = ∂x⁺/∂τ of `step`, through all modes and events; the state stays as it is.
 
-        x = (q, v), with changes of q in the tangent space. (derivatives.md, 9) Time steps depend on the impulses
-        of the step before too, which count as given: products of A over several calls are right to order h²
-        of their length only, and those of `simulate` to rounding. (derivatives.md, 12)
+        x = (q, v), with changes of q in the tangent space. (derivatives.md, 9) Time steps depend on
+        impulses of the step before too, which count as given: products of A over several calls are right to
+        order h² of their length only, sensitivities of `simulate` to rounding. (derivatives.md, 12)
 
         Raises:
             InputError: As in `step`; what has no known derivative, see derivatives.md, 9 and 12.
