@@ -400,7 +400,7 @@ def test_bad_input_is_refused():
     with pytest.raises(InputError, match="geometry: 'thing_0' is not a pinocchio GeometryModel"):
         Scene(robot.model, geometry="thing_0")
     with pytest.raises(
-        InputError, match="is a box, which can make contact with planes only, not with a sphere"
+        InputError, match="is a box, of which the points that touch a sphere depend on the configuration"
     ):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
     with pytest.raises(InputError, match="is a contact of a collision shape, which has no single point"):

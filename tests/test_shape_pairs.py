@@ -251,6 +251,24 @@ def test_a_capsule_meets_a_sphere_that_is_carried():
     assert np.abs(ends[0] - v).max() > 0.1
 
 
+def test_the_gap_of_two_shapes_is_their_distance():
+    boxes = two_bodies(coal.Box(0.2, 0.2, 0.2), coal.Box(0.4, 0.4, 0.4))
+    balls = two_bodies(coal.Sphere(0.1), coal.Box(0.4, 0.4, 0.4))
+    shape, block = Shape("b"), Box((0.4, 0.4, 0.4))
+    for robot, surface, place, distance in (
+        (boxes, shape, (0.05, 0.02, 0.5), 0.2),  # face over face
+        (boxes, block, (0.4, 0.5, 0.1), math.hypot(0.1, 0.2)),  # edge beside edge
+        (boxes, Sphere(radius=0.2), (0.4, 0.5, 0.6), math.sqrt(0.3**2 + 0.4**2 + 0.5**2) - 0.2),
+        (balls, shape, (0.3, 0.3, 0.3), math.sqrt(3) * 0.1 - 0.1),
+        (balls, block, (0.0, 0.0, 0.25), -0.05),
+    ):
+        q = np.concatenate([pose(*place), pose(0.0, 0.0, 0.0)])
+        contact = Contact(geometry="a", plane=surface)
+        assert contact.gap(robot, robot.data, q) == pytest.approx(distance, abs=1e-9)
+    with pytest.raises(InputError, match="which the points that touch a box depend on the configuration"):
+        Contact(geometry="a", plane=block).tips(balls)
+
+
 def test_a_stepper_goes_on_from_a_copy():
     robot = shaped_body(coal.Box(0.3, 0.4, 0.5), pin.Inertia.FromBox(1.0, 0.3, 0.4, 0.5), name="crate")
     scene = Scene(robot, contacts=Contact(geometry="crate", plane=BLOCK, friction=0.4))

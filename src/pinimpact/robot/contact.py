@@ -28,10 +28,13 @@ from ..geometry._kernels.constants import (
     TIP,
 )
 from ..geometry.collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
+from ..geometry.convex_pair import gap
 from ..geometry.plane import Plane
+from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector, check_frame_key, unit_vector, vector
 from .names import frame_id, model_of
 from .placed_robot import PlacedRobot
+from .solids import Solid, two_shapes
 
 
 @dataclass(frozen=True, repr=False)
@@ -194,16 +197,35 @@ class Contact:
     def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:
         """Return the signed distance of the contact point from the surface [m], negative inside.
 
-        For a collision shape it is the smallest gap of its tips; `model` must then be the RobotWrapper.
+        For a collision shape it is the smallest gap of its tips, or the distance of two shapes; `model` must
+        then be the RobotWrapper.
         Changes ``data.oMi``, ``data.liMi`` and ``data.oMf`` of the two frames.
 
         Raises:
             InputError: A q of the wrong length or not finite.
             UnknownNameError: A frame that the model does not have.
         """
-        if self.geometry is not None:
-            return min(tip.gap(model, data, q) for tip in self.tips(model))
-        return PlacedRobot(model, data, q).locate(self)[0]
+        if self.geometry is None:
+            return PlacedRobot(model, data, q).locate(self)[0]
+        if is_pair(model, self):
+            a, b = two_shapes(model, self.geometry, self.rim_points, self.plane)
+            PlacedRobot(model, data, q)
+            return float(gap(a.placed(data), b.placed(data)).value)
+        return min(tip.gap(model, data, q) for tip in self.tips(model))
+
+
+def is_pair(robot: Any, contact: Contact) -> bool:
+    """Whether a contact is one of two convex shapes: not of a shape and a plane, nor of two spheres.
+
+    Args:
+        robot: The RobotWrapper with the collision shapes.
+        contact: The contact.
+    """
+    if contact.geometry is None or isinstance(contact.plane, Solid):
+        return contact.geometry is not None
+    if not isinstance(contact.plane, Sphere):
+        return False
+    return type(find_shape(collision_model(robot), contact.geometry).geometry).__name__ != "Sphere"
 
 
 Contacts: TypeAlias = Sequence[Contact]
@@ -230,10 +252,10 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
     """Return the tips of a contact of a collision shape; see `Contact.tips`."""
     shape = find_shape(shapes, contact.geometry or "")
     found = shape_tips(shapes, shape, contact.rim_points)
-    if not isinstance(contact.plane, Plane) and found.kind != "sphere":
+    if not isinstance(contact.plane, Plane) and (found.kind != "sphere" or contact.plane.code == SOLID):
         raise InputError(
-            f"geometry: {shape.name!r} is a {found.kind}, which can make contact with planes "
-            f"only, not with a {contact.plane.kind}",
+            f"geometry: {shape.name!r} is a {found.kind}, of which the points that touch a "
+            f"{contact.plane.kind} depend on the configuration; it has tips with planes only",
             value=shape.name,
         )
     frame = shape_frame(model, shape)

@@ -20,7 +20,7 @@ from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
 from ._kernels.tree import solve
-from .contact import Contact, Contacts, check_contact
+from .contact import Contact, Contacts, check_contact, is_pair
 from .data_cache import data_cache
 from .forest import composite_inertias, joint_jacobian
 from .held import held_at_rest
@@ -29,7 +29,7 @@ from .names import free_velocities, model_of
 from .one_sided import fill_one_sided_of_robot
 from .placed_robot import ContactGeometry, PlacedRobot
 from .robot_impact import LOCKED, impact
-from .shape_pair import closest_points, is_pair, known, shape_pair
+from .shape_pair import closest_points, known, shape_pair
 from .struck import strike
 from .touching import check_rims, touching_tips
 

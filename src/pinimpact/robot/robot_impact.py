@@ -22,7 +22,7 @@ from ..display import html_table, in_a_line
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
-from .contact import Contact, Contacts, check_contact, check_held
+from .contact import Contact, Contacts, check_contact, check_held, is_pair
 from .data_cache import DataCache, _caches, data_cache, not_normalized
 from .held import held_at_rest, warn_of_pulls
 from .many_impact import ImpactOptions, ManyHit, impact_at_many
@@ -30,7 +30,7 @@ from .matrices import contact_geometry, contact_matrices
 from .names import Stiffening, is_stiff, model_of, singular_mass
 from .placed_robot import PlacedRobot
 from .reactions import joint_reactions
-from .shape_pair import is_pair, touching_points
+from .shape_pair import touching_points
 from .struck import strike
 from .touching import check_rims, touching_tips
 

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array
 from ..errors import InputError
-from ..geometry.collision_shapes import collision_model, find_shape
 from ..geometry.convex_pair import Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
@@ -25,7 +24,7 @@ from ..geometry.tolerances import NEAREST
 from .contact import Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
-from .solids import CarriedShape, Solid, collision_shape, solid_sphere
+from .solids import CarriedShape, two_shapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,26 +71,7 @@ class ShapePair:
 
     def placed(self, data: pin.Data) -> tuple[PlacedShape, PlacedShape]:
         """Return both shapes at their placements, with ``data.oMi`` up to date."""
-        return _placed(data, self.a), _placed(data, self.b)
-
-
-def _placed(data: pin.Data, one: CarriedShape) -> PlacedShape:
-    placement = data.oMi[one.joint] * one.in_joint
-    return one.shape.at(placement.rotation, placement.translation)
-
-
-def is_pair(robot: Any, contact: Contact) -> bool:
-    """Whether a contact is one of two convex shapes: not of a shape and a plane, nor of two spheres.
-
-    Args:
-        robot: The RobotWrapper with the collision shapes.
-        contact: The contact.
-    """
-    if contact.geometry is None or isinstance(contact.plane, Solid):
-        return contact.geometry is not None
-    if not isinstance(contact.plane, Sphere):
-        return False
-    return type(find_shape(collision_model(robot), contact.geometry).geometry).__name__ != "Sphere"
+        return self.a.placed(data), self.b.placed(data)
 
 
 def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
@@ -134,9 +114,7 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
             cannot move relative to each other.
         UnknownNameError: There is no shape of that name; the message suggests similar names.
     """
-    a = collision_shape(robot, contact.geometry or "", contact.rim_points)
-    surface = contact.plane
-    b = solid_sphere(robot, surface) if isinstance(surface, Sphere) else surface.carried_by(robot)  # type: ignore[attr-defined]
+    a, b = two_shapes(robot, contact.geometry or "", contact.rim_points, contact.plane)
     if not motion_signs(model_of(robot), a.joint, b.joint).any():
         raise InputError(
             f"contacts: {a.name!r} and {b.name!r} cannot move relative to each other: they belong "

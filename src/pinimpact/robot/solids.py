@@ -23,7 +23,7 @@ from ..geometry.collision_shapes import (
     shape_tips,
     swept_radius,
 )
-from ..geometry.convex_shape import ConvexShape, box, hull, of_collision_geometry, sphere
+from ..geometry.convex_shape import ConvexShape, PlacedShape, box, hull, of_collision_geometry, sphere
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector, vector
 from .names import frame_id, model_of
@@ -48,6 +48,11 @@ class CarriedShape:
     in_frame: pin.SE3
     in_joint: pin.SE3
     name: str
+
+    def placed(self, data: pin.Data) -> PlacedShape:
+        """Return the shape at its placement, with ``data.oMi`` up to date."""
+        placement = data.oMi[self.joint] * self.in_joint
+        return self.shape.at(placement.rotation, placement.translation)
 
 
 def carried(
@@ -218,3 +223,14 @@ def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
         )
     placement = pin.SE3(np.eye(3), np.array(surface.center))
     return carried(model_of(robot), sphere(surface.radius), surface.body, placement, surface.label)
+
+
+def two_shapes(
+    robot: Any, name: str, rim_points: int | None, surface: Surface
+) -> tuple[CarriedShape, CarriedShape]:
+    """Return a collision shape of a robot, see `collision_shape`, and a solid or sphere, as convex shapes."""
+    one = collision_shape(robot, name, rim_points)
+    if isinstance(surface, Sphere):
+        return one, solid_sphere(robot, surface)
+    assert isinstance(surface, Solid)
+    return one, surface.carried_by(robot)

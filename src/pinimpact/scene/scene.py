@@ -19,10 +19,10 @@ from ..display import changed_fields
 from ..errors import InputError
 from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
-from ..robot.contact import Contact, check_contact, check_surface
+from ..robot.contact import Contact, check_contact, check_surface, is_pair
 from ..robot.joint_limits import JointLimit
 from ..robot.names import ShapedRobot, frame_id, free_velocities, joint_keys, model_of, motion_signs
-from ..robot.shape_pair import is_pair, places
+from ..robot.shape_pair import places
 from ..robot.solids import Shape, Solid
 from ._kernels.tolerances import RESTING
 from .controls import Control, JointPD
