@@ -301,14 +301,9 @@ def test_shapes_that_touch(kind):
     assert close(d.dv_dv, by_v[:12])
     assert close(d.dP_dv, by_v[12:])
 
-    def moved(e):  # shapes that overlap have no impact
-        return brought_together(robot, pin.integrate(model, q, e))
-
-    tangents = slope(lambda e: pin.difference(model, q, moved(e)), 12)
-    assert np.linalg.matrix_rank(tangents, 1e-6) == 11
-    by_q = slope(lambda e: after(moved(e), v), 12)
-    assert close(d.dv_dq @ tangents, by_q[:12])
-    assert close(d.dP_dq @ tangents, by_q[12:])
+    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), 12)  # also where they part or overlap
+    assert close(d.dv_dq, by_q[:12])
+    assert close(d.dP_dq, by_q[12:])
 
 
 @pytest.mark.parametrize(

@@ -307,10 +307,14 @@ def derivatives_at_point(
     if by_q and lasting is None:
         of_q[:] = np.nan
         boundary |= Boundary.FEATURES_MEET
+    elif by_q and swapped and lasting is not None:  # the contact point is one of the surface of this shape
+        e = _restitution(model, data, q, v, lasting)
+        of_q[:] = _by_matrices(model_of(model), data, q, v, lasting, e, *rest, True, on_surface=True)[0][
+            :, : len(of_q[0])
+        ]
+        of_q[-3:] *= -1.0  # that impulse is on the other shape
     elif by_q and lasting is not None and lasting is not instant:
         of_q[:] = _differentiated(model, data, q, v, lasting, *rest, True)[0][:, : len(block) - 3]
-        if swapped:  # that impulse is on the other shape
-            of_q[-3:] *= -1.0
     return ImpactDerivatives(block, Boundary(boundary))
 
 
@@ -339,6 +343,12 @@ class Place(NamedTuple):
     shifts: Array
     carrier: Array
 
+    def move_onto_surface(self, at: ContactGeometry) -> None:
+        """Take the point of the surface below the tip: it moves with the gap and the normal."""
+        n, turns = at.axes[2], self.shifts[:, places.TURN : places.TURN + 3]
+        self.at[places.POINT : places.POINT + 3] -= at.gap * n
+        self.shifts[:, :3] -= np.outer(at.h[: len(turns)], n) + at.gap * np.cross(turns, n)
+
 
 _NO_TREE = Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
 
@@ -366,8 +376,12 @@ def _by_matrices(
     held: tuple[Contact, ...],
     locked: Sequence[str | int],
     by_q: bool,
+    on_surface: bool = False,
 ) -> tuple[Array, int]:
-    """Do what `robot_slopes` does with `contact_matrices`, where that kernel does not apply."""
+    """Do what `robot_slopes` does with `contact_matrices`, where that kernel does not apply.
+
+    The contact point is the one of the surface below the tip if `on_surface`.
+    """
     matrices, (e, slope) = contact_matrices(model, data, q, contact, held, locked), restitution
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
@@ -383,7 +397,10 @@ def _by_matrices(
     slopes = np.column_stack([d.dP_dv, d.dP_ddelassus.reshape(3, 9), d.dP_dfriction, d.dP_drestitution])
     placed, n, y = PlacedRobot(model, data, q), nv if by_q else 0, np.ascontiguousarray(matrices.response.T)
     tree = Tree.of(placed) if by_q else _NO_TREE
-    tip, base, at, shifts, carrier = contact_place(placed, tree, contact, matrices, True, n)
+    place = contact_place(placed, tree, contact, matrices, True, n)
+    if on_surface:
+        place.move_onto_surface(matrices)
+    tip, base, at, shifts, carrier = place
     of_data, forces, turned = np.empty((9, n)), np.empty((nv, n)), np.empty((3, n))
     if by_q:
         inertia = composite_inertias(model, data, placed.q)

@@ -77,12 +77,6 @@ class _Row(NamedTuple):
         f1, f2, f3 = force.tolist()
         places.force_slopes(*self.tree, self.place.at, self.place.shifts, f1, f2, f3, out)
 
-    def move_onto_surface(self, at: ContactGeometry) -> None:
-        """Take the point of the surface below the tip: it moves with the gap and the normal."""
-        place, shifts, n = self.place.at, self.place.shifts, at.axes[2]
-        place[places.POINT : places.POINT + 3] -= at.gap * n
-        shifts[:, :3] -= np.outer(at.h, n) + at.gap * np.cross(shifts[:, places.TURN : places.TURN + 3], n)
-
     def turned(self, force: Array) -> Array:
         """Return how a force (3,) that is fixed in the contact axes changes with q, (3, nv)."""
         return np.cross(self.place.shifts[:, places.TURN : places.TURN + 3], force).T
@@ -129,7 +123,7 @@ class RowSlopes:
         self.features_meet = any(ties)
         if on_surface:
             for row, one in zip(self.rows, at, strict=True):
-                row.move_onto_surface(one)
+                row.place.move_onto_surface(one)
 
     def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[ContactGeometry], list[_Row]]:
         """Return geometry and rows of contacts, with components along the axes or in the world."""
