@@ -296,3 +296,15 @@ def test_many_boxes_apart_are_stepped_and_lie_where_they_fell():
     assert np.abs(run.v[-1]).max() < 1e-6
     assert np.abs(run.energy.residual).max() < 1e-6
     assert run.forces("floor 7 corner 1", 0.6)[2] == pytest.approx(9.81 / 4.0, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_impacts_of_a_pile_that_are_not_resolved_are_crossed():
+    # waves without restitution that have no end and no limit are not replaced by a plastic impact here
+    rng = np.random.default_rng(0)
+    q0 = np.tile([0, 0, 0, *UP], 10)
+    for k in range(10):
+        q0[7 * k : 7 * k + 3] = *rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k
+    run = automatic(boxes(10, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(60), 0.18)
+    assert any("not resolved" in one.reason for one in run.stepped)
+    assert not any("plastic" in note.text for note in run.notes)

@@ -701,6 +701,21 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, restituti
     assert by_steps.work.total.sum() == pytest.approx(gained, rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
+@pytest.mark.parametrize("seed", [11, 23, 44])
+def test_the_error_of_a_limit_is_not_that_of_its_first_coefficient(monkeypatch, seed):
+    # with few steps to spend, e = 0 is extrapolated from three coefficients: from less no error is known
+    jacobian, inverse, u, mu, _ = draw(seed)
+    options = {"friction": mu, "restitution": 0.0, "simultaneous": "propagate"}
+    by_events, _ = collide(jacobian, inverse, u, **options)
+    monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
+    monkeypatch.setattr("pinimpact.contact_space.waves.SPENT", 0)
+    by_steps, _ = collide(jacobian, inverse, u, **options)
+    noted = float(re.search(r"to about (\S+) of the largest", by_steps.notes[-1])[1])
+    missed = np.abs(by_steps.velocity - by_events.velocity).max() / np.abs(jacobian @ u).max()
+    assert missed <= 1.05 * noted <= 1e-4  # two digits are noted
+
+
 @pytest.mark.parametrize(("restitution", "most"), [(0.5, 200), (0.0, 400)])
 def test_fewer_steps_than_the_usual_accuracy_needs_give_less_accuracy(monkeypatch, restitution, most):
     jacobian, inverse, u, mu, _ = draw(11)

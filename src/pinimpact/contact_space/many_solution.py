@@ -76,6 +76,7 @@ class ManyStory(NamedTuple):
         surface_velocity: (n, 3) of the surfaces [m/s].
         singular: Whether W is.
         bounded: Whether a bound on steps or events was reached.
+        resolved: Whether waves were followed; False for a plastic impact in their place.
         again: Returns velocities (n, 3) with stiffnesses multiplied by factors (n,).
         jumps: Returns whether data that are hardly different have another result.
     """
@@ -85,6 +86,7 @@ class ManyStory(NamedTuple):
     surface_velocity: Array
     singular: bool
     bounded: bool = False
+    resolved: bool = True
     again: Callable[[Array], Array] | None = None
     jumps: Callable[[], bool] | None = None
 

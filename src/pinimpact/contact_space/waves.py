@@ -28,9 +28,13 @@ MOST_STEPS = 10_000
 
 
 def propagate_waves(
-    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL
+    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, by_steps: bool = True
 ) -> ManySolution:
-    """Follow the waves of an impact, with forces F ∝ δ^exponent and steps to a relative accuracy `rtol`."""
+    """Follow the waves of an impact, with forces F ∝ δ^exponent and series to a relative accuracy `rtol`.
+
+    Where events cannot be followed one by one it is integrated by adaptive steps or, without `by_steps`,
+    taken as plastic.
+    """
     from ._kernels.propagation import propagate
 
     if real_number("exponent", exponent) not in (1.0, 1.5):
@@ -57,7 +61,8 @@ def propagate_waves(
         else:
             break
     if ended == 2 or not (stopped and missed <= max(MISSED, 100.0 * rtol)):
-        return _propagate_in_steps(inputs, exponent, record) or _propagate_plastically(inputs)
+        stepped = _propagate_in_steps(inputs, exponent, record) if by_steps else None
+        return stepped or _propagate_plastically(inputs)
     notes = notes_on_law(inputs)
     story = None
     if record:
@@ -82,7 +87,7 @@ def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
         simultaneous="propagate",
         law="energetic",
         notes=(*plastic.notes, text),
-        story=plastic.story._replace(bounded=True),
+        story=plastic.story._replace(bounded=True, resolved=False),
     )
 
 
@@ -90,7 +95,8 @@ MOST_SHORT_STEPS = 20_000
 """Steps that a pass may take, about 0.3 s."""
 
 SPENT = 50_000
-"""Steps after which no smaller coefficient of restitution is tried."""
+"""Steps after which no smaller coefficient of restitution is tried, once three are known: from these on two
+extrapolations can be compared."""
 
 MOST_RESTITUTIONS = 8
 """Coefficients of restitution, from `LITTLE` on and halved each time, from two of which steps extrapolate to
@@ -102,6 +108,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
     by_steps, steps, accuracy, rows = np.inf, 0, STEP_ACCURACY, _rows_of(inputs.delassus)
+    missed = math.inf
     numbers: Array | None = None
     last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
@@ -111,14 +118,12 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
             break
         before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
         last, by_steps, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
-        missed = by_steps
-        if plastic.any():  # what two extrapolations differ by, or the first coefficient before there are two
-            change = LITTLE
-            if before is not None:
-                change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
-            enough = k > 1 and change <= max(by_steps, AGREE)
+        if not plastic.any():
+            missed = by_steps
+        if before is not None:  # what two extrapolations differ by
+            change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
             missed = max(by_steps, change)
-            if enough or steps > SPENT:
+            if k > 1 and (change <= max(by_steps, AGREE) or steps > SPENT):
                 break
     if numbers is None:
         return None

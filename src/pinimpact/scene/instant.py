@@ -26,17 +26,13 @@ from .recorder import Recorder
 from .records import ImpactRecord, Note
 from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
-from .scene_impacts import SceneImpacts
+from .scene_impacts import CROWD, SceneImpacts
 from .shape_watch import ShapeWatch
 from .start import check_start, left_by_steps
 from .switched_off import altered, held_contacts
 
 Arriving = int | list[int] | None
 """Numbers of contacts or of a limit whose gap closes now."""
-
-CROWD = 16
-"""Contacts beyond which an impact that restores nothing is left to time steps, where they may take over: the
-cost of its events grows steeply with their number."""
 
 ISLANDS = 5
 """Islands of bodies beyond which a crowd of contacts is left to time steps altogether. Forces of all contacts
@@ -77,7 +73,8 @@ class Instant:
         rims: The rims.
         dynamics: The motion between events, with the modes that hold now.
         names: Of the contacts that are watched, and of the joint limits.
-        crowds_refused: Whether impacts that restore nothing are refused at more than `CROWD` contacts.
+        crowds_refused: Whether impacts that restore nothing are refused at more than `CROWD` contacts, or if
+            their waves are not resolved.
     """
 
     def __init__(
@@ -308,8 +305,8 @@ class Instant:
         """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
         if len(touching) < 2 or not self._impacts.together:
             return []
-        most = CROWD if self.crowds_refused else math.inf
-        impact = self._impacts.resolve_group(self.state.q, self.state.v, first, touching, most=most)
+        refuse = self.crowds_refused
+        impact = self._impacts.resolve_group(self.state.q, self.state.v, first, touching, refuse=refuse)
         if impact is None:
             return []
         return self._take_over_group(impact)

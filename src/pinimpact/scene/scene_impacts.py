@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -40,6 +39,14 @@ from .scene import Scene
 from .switched_off import locked_joints
 
 _compiled: set[tuple[bool, bool]] = set()
+
+CROWD = 16
+"""Contacts beyond which an impact that restores nothing is left to time steps, where they may take over: the
+cost of its events grows steeply with their number."""
+
+FEW = 8
+"""Contacts up to which such an impact is integrated by adaptive steps there: at more these take seconds, and
+rarely find a limit e → 0."""
 
 GROWN = 100.0
 """By what factor it has grown at least where it is no rounding."""
@@ -176,7 +183,7 @@ class SceneImpacts:
         first: int,
         touching: Sequence[int],
         limit: bool = False,
-        most: float = math.inf,
+        refuse: bool = False,
     ) -> GroupImpact | None:
         """Resolve the impact of all that touches and takes part in it; None for a contact on its own.
 
@@ -190,7 +197,8 @@ class SceneImpacts:
             touching: All that touch, `first` among them, contacts before limits.
             limit: Whether to take the limit of impacts one after another that have no end, a plastic impact
                 of all. (14.8)
-            most: The number of contacts beyond which an impact that restores nothing is refused.
+            refuse: Whether an impact that restores nothing is refused if more than `CROWD` contacts take part
+                in it or its waves are not resolved, by adaptive steps at no more than `FEW` contacts.
 
         Raises:
             IrregularMotionError: It is.
@@ -209,10 +217,10 @@ class SceneImpacts:
         if len(chosen) == 1 and (not felt or self._is_plastic(struck[0])):
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
-        if len(chosen) > most and not any(e):
-            raise IrregularMotionError(
-                f"scene: {len(chosen)} contacts take part in an impact", value=len(chosen)
-            )
+        refuse = refuse and not any(e)
+        crowd = f"scene: {len(chosen)} contacts take part in an impact"
+        if refuse and len(chosen) > CROWD:
+            raise IrregularMotionError(crowd, value=len(chosen))
         policy = self.policy
         if limit:
             policy, e = "together", [0.0] * len(struck)
@@ -222,8 +230,11 @@ class SceneImpacts:
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
         sources = [touching[k] for k in chosen.tolist()]
+        by_steps = not (refuse and len(chosen) > FEW)
         try:
-            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e, sources)
+            solved = self._solve(
+                policy, struck, (delassus, velocity, friction, surface), e, sources, by_steps
+            )
         except UnstoppableApproachError:
             # what is closed may approach along what nothing moves, by the error of steps: that is none
             rests = work.modes[sources, None] > np.array([SLIP, SLIP, FREE])
@@ -231,7 +242,11 @@ class SceneImpacts:
             if not rests.any():
                 raise
             velocity = np.where(rests, 0.0, velocity)
-            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e, sources)
+            solved = self._solve(
+                policy, struck, (delassus, velocity, friction, surface), e, sources, by_steps
+            )
+        if refuse and not solved.solution.story.resolved:
+            raise IrregularMotionError(f"{crowd} that is not resolved", value=len(chosen))
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
         return group_impact(v, response, solved, sources, axes, 0.0)
 
@@ -323,6 +338,7 @@ class SceneImpacts:
         numbers: tuple[Array, Array, Array, Array],
         e: Sequence[float],
         sources: Sequence[int],
+        by_steps: bool = True,
     ) -> Solved:
         """Solve an impact at many contacts; modes let rest what bounces slower than the resting speed.
 
@@ -332,6 +348,7 @@ class SceneImpacts:
             numbers: Delassus matrix, velocities, friction and velocities of the surfaces.
             e: Restitution.
             sources: Their numbers.
+            by_steps: Whether waves are integrated by adaptive steps where need be.
         """
         delassus, velocity, friction, surface = numbers
         stiffness = _stiffness(struck, delassus)
@@ -341,7 +358,8 @@ class SceneImpacts:
         restitution = np.array(e)
         # the robot's own numbers need no check
         inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
-        solution = policy.run(inputs, False)
+        options = {} if by_steps or name != "propagate" else {"by_steps": False}
+        solution = policy.run(inputs, False, **options)
         pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
         slowest = [self._resting_speed / self._metres(i) for i in sources]
         resting = [
