@@ -258,6 +258,29 @@ def test_a_point_of_a_body_that_spins_fast_bounces_elastically(height):
     assert energies[1] == pytest.approx(energies[0], abs=1e-3)
 
 
+@pytest.mark.parametrize("speed", [3.0, 30.0, 100.0])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize(
+    "solid", [coal.Sphere(0.005), coal.Box(0.01, 0.01, 0.01), coal.Capsule(0.004, 0.01), None]
+)
+def test_nothing_passes_through_what_is_thinner_than_its_path_in_a_step(solid, restitution, speed):
+    """A plate of 2 mm, or a ball of 1 cm; in a step of 1 ms bodies move by up to 10 cm."""
+    model = free_body(pin.Inertia.FromSphere(0.1, 0.005))
+    model.gravity.linear[:] = 0.0
+    shapes = pin.GeometryModel()
+    if solid is None:
+        contact = Contact("center", pinimpact.Sphere(radius=0.005), radius=0.005, restitution=restitution)
+    else:
+        shapes.addGeometryObject(pin.GeometryObject("bullet", 1, pin.SE3.Identity(), solid))
+        plate = pinimpact.Box((0.002, 1.0, 1.0))
+        contact = Contact(geometry="bullet", plane=plate, restitution=restitution)
+    scene = Scene(pin.RobotWrapper(model, shapes, shapes), contact)
+    for start in (0.1, 0.1037, 0.1071):
+        q, v = [-start, 0, 0, 0, 0, 0, 1], [speed, 0, 0, 0, 0, 0]
+        trajectory = step(scene, q, v, 0.3 / speed, 1e-3)
+        assert trajectory.v[-1, 0] == pytest.approx(-restitution * speed, abs=1e-9 * speed)
+
+
 @pytest.mark.parametrize("first", [1e-7, 1e-4])
 def test_what_begins_to_move_slowly_is_not_at_rest(first):
     """After a short step its speed is below all that counts: 1 nm/s."""

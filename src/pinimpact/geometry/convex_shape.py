@@ -49,6 +49,12 @@ class ConvexShape:
         return float(np.linalg.norm(self.vertices - self.center, axis=1).max()) + self.radius
 
     @cached_property
+    def half_thickness(self) -> float:
+        """Half of the least distance of two parallel planes that have the shape between them [m]."""
+        between = np.ptp(self.vertices @ self.normals.T, axis=0) if len(self.faces) else np.zeros(1)
+        return 0.5 * float(between.min()) + self.radius
+
+    @cached_property
     def directions(self) -> Array:
         """(k, 3) unit directions of the edges, parallel ones once."""
         found = self.vertices[self.edges[:, 1]] - self.vertices[self.edges[:, 0]]

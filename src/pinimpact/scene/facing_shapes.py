@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import Array, Bools
+from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.box_patch import MOST
+from ..geometry._kernels.constants import KIND, POINT, RADIUS, SIZE, SPHERE, TIP
 from ..geometry.convex_pair import Touch
 from ..geometry.patch import Patch, patch
 from ..robot.contact import Contact
@@ -18,6 +19,7 @@ from ..robot.corner_motion import Corner
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
 from ._kernels.facing_boxes import BOX, HALF, REACH, face_boxes, fill_contact
+from ._kernels.passing import SOLID_NUMBERS, may_pass
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
 
@@ -68,6 +70,7 @@ class FacingShapes:
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
         self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
+        self._solids = _solids([pair for pair, _ in every], dynamics)
         self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
 
     @cached_property
@@ -137,6 +140,10 @@ class FacingShapes:
                 found = patch(a, b, within)
             self._fill(places, found, touching >= 0.0)
 
+    def may_pass(self, q: Array, v: Array, h: float) -> bool:
+        """Return whether solids may pass through each other in a step (h) with midpoint q and velocity v."""
+        return len(self._solids[0]) > 0 and may_pass(self._work, q, v, h, *self._solids, self._rests)
+
     def corners(self) -> dict[int, Corner]:
         """Return the corners that contacts stand for, by number, as `place` has found them last."""
         found: dict[int, Corner] = {}
@@ -187,6 +194,38 @@ class FacingShapes:
         )
         blank = self._struck.setdefault(i, self._dynamics.contacts[i])
         self._dynamics.contacts[i] = point_contact(pair, self._data, (), normal, core, blank).instant
+
+
+def _solids(every: list[ShapePair], dynamics: SceneDynamics) -> tuple[Integers, Array, Integers]:
+    """Return what `may_pass` needs: joints (k,) and measures (k, …) of solids, and pairs (p, 2) of them."""
+    numbers: dict[Any, int] = {}
+    joints: list[int] = []
+    measures: list[list[float]] = []
+    pairs: list[tuple[int, int]] = []
+
+    def number(key: Any, joint: int, centre: list[float], reach: float, arm: float, thickness: float) -> int:
+        numbers[key] = len(joints)
+        joints.append(joint)
+        measures.append([*centre, reach, arm, thickness])
+        return numbers[key]
+
+    def of_shape(one: CarriedShape) -> int:
+        key, shape = _key(one), one.shape
+        if key in numbers:
+            return numbers[key]
+        arm = shape.reach if len(shape.vertices) > 1 else 0.0
+        centre = one.in_joint.act(shape.center).tolist()
+        return number(key, one.joint, centre, shape.reach, arm, shape.half_thickness)
+
+    pairs += [(of_shape(pair.a), of_shape(pair.b)) for pair in every]
+    work, contacts = dynamics.work, dynamics.contacts
+    for i in np.flatnonzero(work.contact_constants[:, KIND] == SPHERE).tolist():
+        if contacts[i].pair is None:
+            (tip, base), row = work.contact_joints[i].tolist(), work.contact_constants[i].tolist()
+            ball = number(None, tip, row[TIP : TIP + 3], row[RADIUS], 0.0, row[RADIUS])
+            pairs.append((ball, number(None, base, row[POINT : POINT + 3], row[SIZE], 0.0, row[SIZE])))
+    table = np.array(measures).reshape(-1, SOLID_NUMBERS)
+    return np.array(joints, dtype=np.int64), table, np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _is_box(one: CarriedShape) -> bool:

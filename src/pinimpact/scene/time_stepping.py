@@ -25,7 +25,7 @@ from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
-from ._kernels.tolerances import STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
+from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -44,6 +44,10 @@ FAILED = 0.1
 LONGER = 2.0
 """How much longer a step may be than the one before whose impulses predict its own: a velocity that stopped
 in the short rest of a step, after an impact, would be predicted as many times."""
+
+WHOLE, CUT, MISSED, PASSED = range(4)
+"""What has become of a step: it is taken to its end, or to an impact or event in it; or it is not taken, as
+extrapolated gaps close where nothing touches, or as solids may pass through each other between midpoints."""
 
 MOST_REMOVALS = 10
 """Displacements at the end of a step; what overlaps after that is left to the next step."""
@@ -124,9 +128,9 @@ class TimeStepping(Integrator):
             if ends[-1] - state.t <= none:
                 begin = ends.pop()
                 continue
-            cut = self._take(ends[-1] - state.t, struck < MOST_IMPACTS)
-            struck += cut is not False
-            if cut is None:  # halves of halves: times that do not depend on the motion
+            taken = self._take(ends[-1] - state.t, struck < MOST_IMPACTS)
+            struck += taken in (CUT, MISSED)
+            if taken in (MISSED, PASSED):  # halves of halves: times that do not depend on the motion
                 while (middle := 0.5 * (begin + ends[-1])) <= state.t:
                     begin = middle
                 ends.append(middle)
@@ -138,7 +142,7 @@ class TimeStepping(Integrator):
 
     # ---- one step
 
-    def _take(self, h: float, strikes: bool) -> bool | None:
+    def _take(self, h: float, strikes: bool) -> int:
         """Take a step, to the first impact in it at the longest.
 
         Args:
@@ -146,16 +150,16 @@ class TimeStepping(Integrator):
             strikes: Whether what closes fast is an impact; else it closes without restitution.
 
         Returns:
-            Whether there was one, or None if the step is not taken: gaps that are extrapolated from its
-            midpoint close where nothing touches, as points of what turns fast do not go straight.
+            `WHOLE` or `CUT`; or why the step is not taken: `MISSED` or `PASSED`.
         """
         state, model = self.state, self.model
-        before = state.pushed, state.step_before
+        before, middle = (state.pushed, state.step_before), pin.integrate(model, state.q, 0.5 * h * state.v)
+        if h > STEPS_SHORTEST * self._dt and self._faces.may_pass(middle, state.v, h):
+            return PASSED
         if h > LONGER * state.step_before:
             state.pushed = self._no_change
         state.step_before = h
-        t, q, v, pushed = state.t, state.q, state.v, state.pushed
-        middle = pin.integrate(model, q, 0.5 * h * v)
+        t, v, pushed = state.t, state.v, state.pushed
         self._faces.place(middle, v, h)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
@@ -171,25 +175,24 @@ class TimeStepping(Integrator):
             slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
             if not self._meets(*step.at(step.end), slowest, within):
                 state.pushed, state.step_before = before
-                return None
+                return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
         self.record.dense_steps.append(step)
         if self.events:
             interruption = self.events.within(step, step.end)
             if interruption is not None:
                 self._interrupt(step, interruption, None)
-                return True
+                return CUT
         state.works = step.work_at(step.end)
         state.impact_energy += lost
-        state.t = step.end
-        state.q, state.v = step.at(step.end)
+        state.t, (state.q, state.v) = step.end, step.at(step.end)
         if closing.any():
             self._sample()
             if step.taken is not None:
                 touches = closing & (_gaps_at(share, h, rows, found) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
             self._collide(slowest, within, step.taken)
-            return True
+            return CUT
         active = ~found.arrives
         moved = self._no_change
         if overlap > self._touching:
@@ -199,7 +202,7 @@ class TimeStepping(Integrator):
             if step.taken is not None:
                 step.taken.stopped |= self._rest.joints[self.work.velocity_joint]
         state.v = found.v_end
-        return False
+        return WHOLE
 
     def _solve(
         self, t: float, h: float, middle: Array, strikes: bool

@@ -101,6 +101,10 @@ what closes from overlapping by as much; its end takes it away."""
 STEPS_TOGETHER = 1e-2
 """Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
 
+STEPS_SHORTEST = 2.0**-10
+"""Part of a time step below which it is not halved for what may pass through each other: flat shapes have no
+thickness."""
+
 STEPS_STILL = 1e-5
 """Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
 leaves at rest."""
