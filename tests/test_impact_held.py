@@ -291,3 +291,20 @@ def test_joint_reactions_balance_the_momentum_of_every_link(robot, held):
         own = slice(model.idx_vs[i], model.idx_vs[i] + model.nvs[i])
         free = np.asarray(data.joints[i].S).T @ found[i] + model.armature[own] * change[own]
         assert np.abs(free).max() < 1e-11 * np.abs(wrenches).max()
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("angles", [(0.99, 0.2), (0.99, 0.999)])
+def test_a_locked_joint_does_not_stop_at_its_limit(scheme, angles):
+    """No impulse changes its velocity; rounding of what is projected out of the inverse mass is none."""
+    model, joint = pin.Model(), 0
+    for k in range(3):
+        place = pin.SE3(np.eye(3), np.array([0.3 if k else 0.0, 0, 0]))
+        joint = model.addJoint(joint, pin.JointModelRY(), place, f"j{k}")
+        rod = pin.Inertia(0.5, np.array([0.15, 0, 0]), 0.01 * np.eye(3))
+        model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -1.0, 1.0
+    scene = pinimpact.Scene(model, locked=["j0"])
+    q0, v0 = np.array([*angles, -0.3]), np.array([1.0, 2.5, 0.0])
+    with pytest.raises(pinimpact.SimulationError, match="'j0 upper' is hit"):
+        pinimpact.simulate(scene, q0, v0, 0.05, scheme=scheme)

@@ -162,11 +162,11 @@ class SceneImpacts:
         e = self._limit_restitution
         resting = e > 0.0 and self._sustained and (slow or e * approach < self._resting_speed)
         e = 0.0 if resting else e
-        speed = float(v[limit.index_v])
-        column = self._yielding_inverse(t, q, v)[:, limit.index_v]
-        c = float(column[limit.index_v])
+        k, speed = limit.index_v, float(v[limit.index_v])
+        column = self._yielding_inverse(t, q, v)[:, k]
+        c = float(column[k])
         constrained = self._held or self._locked
-        if constrained and c <= ROUNDING * float(np.abs(column).max(initial=0.0)):
+        if constrained and c <= ROUNDING * float(inverse_mass(self._model, self._data, q)[k, k]):
             raise SimulationError(
                 f"locked: the joint limit {limit.name!r} is hit at {abs(speed):.6g}, but held "
                 "contacts or locked joints keep the joint from moving; remove them there",
