@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from dataclasses import replace
 
 import coal
@@ -403,6 +404,9 @@ def test_bad_input_is_refused():
         InputError, match="is a box, of which the points that touch a sphere depend on the configuration"
     ):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
+    ball = Contact(geometry="thing_0", plane=Sphere(radius=1.0))
+    with pytest.raises(InputError, match=re.escape("impact() takes it alone, and a Scene together with")):
+        pinimpact.place_in_contact(robot, robot.data, pin.neutral(robot.model), ball)
     with pytest.raises(InputError, match="is a contact of a collision shape, which has no single point"):
         pinimpact.contact_matrices(
             robot, robot.data, pin.neutral(robot.model), Contact(geometry="thing_0", plane=FLOOR)

@@ -296,9 +296,12 @@ def check_contact(field: str, value: Any) -> None:
     if not isinstance(value, Contact):
         raise InputError(f"{field}: {in_short(value)} is not a Contact", value=value)
     if value.geometry is not None:
+        instead = "give one of its contact.tips(robot)"
+        if not isinstance(value.plane, Plane):  # where shapes touch depends on the configuration
+            instead = "impact() takes it alone, and a Scene together with others"
         raise InputError(
-            f"{field}: {value.label!r} is a contact of a collision shape, which has no single "
-            "point here; give one of its contact.tips(robot)",
+            f"{field}: {value.label!r} is a contact of a collision shape, which has no single point here; "
+            f"{instead}",
             value=value,
         )
 
