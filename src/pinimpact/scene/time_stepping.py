@@ -154,7 +154,8 @@ class TimeStepping(Integrator):
         """
         state, model = self.state, self.model
         before, middle = (state.pushed, state.step_before), pin.integrate(model, state.q, 0.5 * h * state.v)
-        if h > STEPS_SHORTEST * self._dt and self._faces.may_pass(middle, state.v, h):
+        may_be_halved = h > STEPS_SHORTEST * self._dt
+        if may_be_halved and self._faces.may_pass(middle, state.v, h):
             return PASSED
         if h > LONGER * state.step_before:
             state.pushed = self._no_change
@@ -173,7 +174,7 @@ class TimeStepping(Integrator):
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
             slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
-            if not self._meets(*step.at(step.end), slowest, within):
+            if may_be_halved and not self._meets(*step.at(step.end), slowest, within):
                 state.pushed, state.step_before = before
                 return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)

@@ -102,8 +102,8 @@ STEPS_TOGETHER = 1e-2
 """Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
 
 STEPS_SHORTEST = 2.0**-10
-"""Part of a time step below which it is not halved for what may pass through each other: flat shapes have no
-thickness."""
+"""Part of a time step below which it is not halved: flat shapes that may pass through each other have no
+thickness, and times are to differ by more than rounding."""
 
 STEPS_STILL = 1e-5
 """Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
