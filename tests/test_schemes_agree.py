@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import brentq
 
 from pinimpact import Contact, Plane, Scene, Sphere, Stepper, impact, simulate
 
-from .scene_models import UP, G, unbounded
+from .scene_models import UP, G, shaped_body, unbounded
 from .test_time_stepping import boxes
 
 SIZE, MU = (0.2, 0.2, 0.1), 0.4
@@ -197,3 +199,56 @@ def test_what_is_pressed_onto_a_curved_surface_stays_on_it(gravity, speed):
     rough, fine = np.abs(errors)
     assert rough[0] < 0.03
     assert (fine < 0.3 * rough).all()  # of second order
+
+
+def test_a_ball_rolls_over_a_sphere_to_second_order():
+    """Its surface turns below the point of contact, and its velocity in its own axes."""
+    ball = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1), name="ball")
+    scene = Scene(ball, Contact(geometry="ball", plane=Sphere(radius=1.0), friction=0.3))
+    q0 = np.array([1.1 * np.sin(0.3), 0.0, 1.1 * np.cos(0.3), *UP])
+    exact = simulate(scene, q0, np.zeros(6), 0.5, scheme="event-driven", rtol=1e-10, atol=1e-12)
+    errors = []
+    for dt in (4e-3, 2e-3, 1e-3):
+        run = simulate(scene, q0, np.zeros(6), 0.5, scheme="time-stepping", dt=dt)
+        errors.append(np.abs(pin.difference(scene.model, run.q[-1], exact.q[-1])).max())
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
+    assert errors[-1] < 1e-4  # rad
+
+
+def test_a_disc_rolls_in_a_circle_in_time_steps():
+    """Steady precession: with k along the axle and d to the lowest point, d(L)/dt = Ω × L is the torque."""
+    mass, radius, tilt, track, thin = 1.0, 0.1, 1.2, 0.3, 1e-4
+    k = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    d, up = np.array([np.cos(tilt), 0.0, -np.sin(tilt)]), np.array([0.0, 0.0, 1.0])
+    across, along, circle = 0.25 * mass * radius**2, 0.5 * mass * radius**2, track - radius * np.cos(tilt)
+
+    def turning(rate):
+        return rate * (up - track / radius * k)  # no slip: v + ω × a d = 0
+
+    def unbalanced(rate):
+        spin = turning(rate)
+        momentum = across * spin + (along - across) * (spin @ k) * k
+        force = mass * np.array([-(rate**2) * circle, 0.0, G])
+        return (rate * np.cross(up, momentum) - np.cross(radius * d, force))[1]
+
+    rate = brentq(unbalanced, 1.0, 5.0)
+    model, shapes = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "disc")
+    model.appendBodyToJoint(
+        joint, pin.Inertia(mass, np.zeros(3), np.diag([across, across, along])), pin.SE3.Identity()
+    )
+    model.addJointFrame(joint)
+    raised = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * thin]))  # its lower rim goes round the centre
+    shapes.addGeometryObject(pin.GeometryObject("disc", joint, raised, coal.Cylinder(radius, thin)))
+    unbounded(model)
+    scene = Scene(model, Contact(geometry="disc", plane=Plane(), friction=0.8), geometry=shapes)
+    axes = np.column_stack([d, np.cross(k, d), k])
+    height = radius * np.sin(tilt)
+    q0 = np.array([circle, 0.0, height, *pin.Quaternion(axes).coeffs()])
+    v0 = np.concatenate([axes.T @ [0.0, rate * circle, 0.0], axes.T @ turning(rate)])
+    for dt, error in ((2e-3, 2e-3), (5e-4, 1.3e-4)):
+        run = simulate(scene, q0, v0, 1.5, scheme="time-stepping", dt=dt)
+        angle = rate * 1.5
+        place = [circle * np.cos(angle), circle * np.sin(angle), height]
+        assert np.abs(run.q[-1][:3] - place).max() < error
+        assert pin.Quaternion(run.q[-1][3:]).matrix()[2, 2] == pytest.approx(np.cos(tilt), abs=error)

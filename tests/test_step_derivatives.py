@@ -285,15 +285,15 @@ def test_two_gaps_that_close_at_once_have_no_derivative():
 
 
 @pytest.mark.parametrize(
-    ("turn", "dt", "duration", "moves"),
+    ("turn", "dt", "duration", "speed"),
     [
-        ([0.435, 0.034, 0.0], 4e-3, 0.188, [3e-4, 1.1]),
-        ([0.107, -0.302, 0.0], 4e-3, 0.084, [-1.8e-4, 0.6]),
-        ([0.16, -0.12, 0.0], 2e-3, 0.104, [0.65]),
+        ([0.435, 0.034, 0.0], 4e-3, 0.188, 1.1),
+        ([0.107, -0.302, 0.0], 4e-3, 0.084, 0.6),
+        ([0.16, -0.12, 0.0], 2e-3, 0.104, 0.65),
     ],
 )
-def test_an_impact_beside_a_contact_that_slides(turn, dt, duration, moves):
-    """The contact has no normal velocity where a step ends, but the impact is in between, or lifts it."""
+def test_an_impact_beside_a_contact_that_slides(turn, dt, duration, speed):
+    """The contact has no normal velocity where a step ends, but the impact is in between."""
     model, bounce = box(), [0.0, 0.5]
     contacts = [replace(one, restitution=e) for one, e in zip(corners(0.1, 0.0)[:2], bounce, strict=True)]
     q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0, *turn]))
@@ -301,7 +301,9 @@ def test_an_impact_beside_a_contact_that_slides(turn, dt, duration, moves):
     v = np.array([0.3, 0.1, 0, 0, 0, 0])
     run, _ = agrees(Scene(model, contacts), q, v, duration, dt, FLAT)
     group, _ = run.impacts[0].group
-    assert -np.asarray(group.problem.velocity)[:, 2] == pytest.approx(moves, rel=0.1)
+    beside, struck = -np.asarray(group.problem.velocity)[:, 2]
+    assert 1e-6 < beside < 1e-3
+    assert struck == pytest.approx(speed, rel=0.1)
 
 
 def test_an_impact_beside_a_closed_limit():

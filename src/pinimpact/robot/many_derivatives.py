@@ -59,11 +59,37 @@ class ManyImpactDerivatives:
         return f"ManyImpactDerivatives(nv={len(self.v)}, contacts={count}, boundary={self.boundary!r})"
 
 
-class _Row(NamedTuple):
+class ContactRow(NamedTuple):
     """Three rows of a Jacobian, of a contact, and how they change with q."""
 
     tree: Tree
     place: Place
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) t₁, t₂, n as rows."""
+        return self.place.at[places.AXES : places.AXES + 9].reshape(3, 3)
+
+    @property
+    def turns(self) -> Array:
+        """(3, nv) How the axes turn with q, in the world."""
+        return self.place.shifts[:, places.TURN : places.TURN + 3].T
+
+    @property
+    def jacobian(self) -> Array:
+        """(3, nv) The rows in world axes."""
+        at, shifts, motions = self.place.at, self.place.shifts, self.tree.J
+        point = at[places.POINT : places.POINT + 3]
+        moved = motions[:3] + np.cross(motions[3:].T, point).T
+        return np.asarray((shifts[:, places.TIP] - shifts[:, places.CARRIER]) * moved)
+
+    @property
+    def of_surface(self) -> Array:
+        """(3,) The velocity of the surface against its carrier, in the world [m/s]."""
+        at = self.place.at
+        arm = at[places.POINT : places.POINT + 3] - at[places.ORIGIN : places.ORIGIN + 3]
+        material = at[places.MATERIAL : places.MATERIAL + 3]
+        return np.asarray(material + np.cross(at[places.SPIN : places.SPIN + 3], arm))
 
     def slopes(self, motions: Array, relative: bool = False) -> Array:
         """Return ∂(J x)/∂q (3, nv) for the motions of x, as `velocity_slopes`. (D19)"""
@@ -78,8 +104,8 @@ class _Row(NamedTuple):
         places.force_slopes(*self.tree, self.place.at, self.place.shifts, f1, f2, f3, out)
 
     def turned(self, force: Array) -> Array:
-        """Return how a force (3,) that is fixed in the contact axes changes with q, (3, nv)."""
-        return np.cross(self.place.shifts[:, places.TURN : places.TURN + 3], force).T
+        """Return how a vector (3,) that is fixed in the contact axes changes with q, (3, nv)."""
+        return np.cross(self.turns.T, force).T
 
 
 class RowSlopes:
@@ -93,8 +119,10 @@ class RowSlopes:
         on_surface: Whether contact points are those of the surfaces, see `contact_kinematics.jacobian`.
 
     Attributes:
+        contacts: The contacts, with corners fixed to the shapes.
         axes: (3, 3) of each contact, as rows.
         rows: Their rows.
+        over_shapes: By place of a corner: how it and the normal move over the shapes with q, (3, nv) each.
         features_meet: Whether a corner is a vertex of one shape on an edge of the other.
 
     Raises:
@@ -113,32 +141,29 @@ class RowSlopes:
         self._placed, self._tree = placed, Tree.of(placed)
         self._data = model.createData() if spare is None else spare
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
-        contacts = [corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)]
-        at, self.rows = self.of(contacts, True)
-        self.axes = [one.axes for one in at]
-        ties = [
-            corner.follow(placed.data, self._tree.J, self.rows[k].place.shifts)
-            for k, corner in corners.items()
+        self.contacts = [
+            corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)
         ]
-        self.features_meet = any(ties)
+        at, self.rows = self.of(self.contacts, True)
+        self.axes = [one.axes for one in at]
+        self.over_shapes, self.features_meet = {}, False
+        for k, corner in corners.items():
+            shifts = self.rows[k].place.shifts
+            fixed, n = shifts.copy(), self.axes[k][2]
+            self.features_meet |= corner.follow(placed.data, self._tree.J, shifts)
+            shift, turn = shifts[:, :3] - fixed[:, :3], (shifts - fixed)[:, places.TURN : places.TURN + 3]
+            self.over_shapes[k] = shift.T, np.cross(turn, n).T
         if on_surface:
             for row, one in zip(self.rows, at, strict=True):
                 row.place.move_onto_surface(one)
 
-    def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[ContactGeometry], list[_Row]]:
+    def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[ContactGeometry], list[ContactRow]]:
         """Return geometry and rows of contacts, with components along the axes or in the world."""
-        at, tree = [self._placed.geometry(contact) for contact in contacts], self._tree
-        rows = [
-            _Row(tree, contact_place(self._placed, tree, *one, turns, len(tree.joint)))
-            for one in zip(contacts, at, strict=True)
-        ]
-        return at, rows
+        return rows_of(self._placed, self._tree, contacts, turns)
 
     def motions(self, x: Array) -> Array:
         """Return the motions (joints, 6) of velocities x (nv,)."""
-        out = np.empty((self._placed.model.njoints, 6))
-        places.fill_motions(*self._tree, np.ascontiguousarray(x), out)
-        return out
+        return motions_in(self._tree, x)
 
     def of_mass(self, x: Array) -> Array:
         """Return D(x) = ∂(M x)/∂q (nv, nv)."""
@@ -151,6 +176,25 @@ class RowSlopes:
         for row, axes, impulse in zip(self.rows, self.axes, impulses, strict=True):
             row.add_forces(axes.T @ impulse, out)
         return out
+
+
+def rows_of(
+    placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool
+) -> tuple[list[ContactGeometry], list[ContactRow]]:
+    """Return geometry and rows of contacts, see `RowSlopes.of`."""
+    at = [placed.geometry(contact) for contact in contacts]
+    rows = [
+        ContactRow(tree, contact_place(placed, tree, *one, turns, len(tree.joint)))
+        for one in zip(contacts, at, strict=True)
+    ]
+    return at, rows
+
+
+def motions_in(tree: Tree, x: Array) -> Array:
+    """Return the motions (joints, 6) of velocities x (nv,)."""
+    out = np.empty((len(tree.parent), 6))
+    places.fill_motions(*tree, np.ascontiguousarray(x), out)
+    return out
 
 
 class ManySlopes:

@@ -16,7 +16,7 @@ thousand times what the contact problem leaves."""
 
 
 OPEN, CLOSES, PINNED = range(3)
-"""Whether the gap at the midpoint matters to a row: not; it is closed; it is zero, and at a kink."""
+"""Whether the gap at the midpoint matters to a row: not; it is closed; it is, and already touches."""
 
 
 class Slide(NamedTuple):
@@ -87,11 +87,11 @@ class _Sets:
         """Return the gap that a row along a normal closes, and how it matters; None if it is open."""
         found, h = self.taken.found, self.taken.h
         if found.impulse[row] <= self.rounding:
-            apart = found.u_end[row] + max(gap, 0.0) / h > self.still
+            apart = found.u_end[row] + (gap / h if gap > -self.taken.overlap else 0.0) > self.still
             return None if apart or not self.tie() else (0.0, OPEN)
-        if abs(gap) <= self.taken.touching:
-            return 0.0, PINNED
-        return (gap, CLOSES) if gap > 0.0 else (0.0, OPEN)
+        if gap <= -self.taken.overlap:
+            return 0.0, OPEN
+        return gap, PINNED if gap <= self.taken.touching else CLOSES
 
     def add_contact(self, k: int, gap: float, friction: float, compliance: float) -> None:
         """Add a contact by its place among the near ones."""

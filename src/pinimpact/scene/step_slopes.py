@@ -22,8 +22,9 @@ from .control_slopes import change_of_forces
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
+from .row_bends import RowBends, row_bends
 from .scene import Scene
-from .step_sets import CLOSES, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
+from .step_sets import OPEN, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
 from .step_taken import StepTaken
 
 
@@ -92,7 +93,7 @@ class StepSlopes:
         check_joints(model)
         self._controlled = controlled
         self._work, self._model = dynamics.work, model
-        self._data, self._spare = model.createData(), model.createData()
+        self._data, self._spare, self._aside = (model.createData() for _ in range(3))
         self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
         # what has a friction of its own in sustained contact does not depend on that of impacts
         own = [contact.sliding_friction is not None for contact in dynamics.contacts]
@@ -137,7 +138,7 @@ class StepSlopes:
             reached = x[3 * nv] + step.h * shift + part * moved.length
             return np.vstack([self._within(x, moved, step, part, shift), moved.pushed, reached])
         result = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
-        result[:nv] = self._removed(result[:nv], taken)
+        result[:nv] = self._removed(result[:nv], taken, moved)
         result[nv:][taken.stopped] = 0.0
         return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
 
@@ -150,7 +151,7 @@ class StepSlopes:
         result = self._within(x, moved, step, part, -(x[-1] + part * moved.length) / step.h)
         if taken.removals:  # little by little in the dense output
             end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))[:nv]
-            result[:nv] += part * (self._removed(end, taken) - end)
+            result[:nv] += part * (self._removed(end, taken, moved) - end)
         return result
 
     def modes(self, taken: StepTaken) -> Integers:
@@ -184,7 +185,7 @@ class StepSlopes:
         stiffness, damping = self._laws(taken)
         softer = 0.5 * damping + 0.5 * h * stiffness  # how what softens changes with h
         total = self._mass(q) + np.diag(softened)
-        rows = self._rows(taken, v, middle, by_v)
+        rows = self._rows(taken, v, (middle, by_v, length))
         pushes = rows.jacobian.T @ found.impulse
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
@@ -254,7 +255,7 @@ class StepSlopes:
                     forces[:, column] -= found.impulse[a + 2] * one.direction @ jacobian[a : a + 2]
         pushed, kept, stays = sets.directions(jacobian), jacobian[sets.rows], rows.end[sets.rows]
         closing = kept @ middle
-        stays += np.where(sets.closing == CLOSES, 1.0 / h, 0.0)[:, None] * closing
+        stays += np.where(sets.closing != OPEN, 1.0 / h, 0.0)[:, None] * closing
         stays -= np.outer(sets.gaps / h**2, length)
         moved = np.linalg.solve(matrix, np.column_stack([known + forces, pushed]))
         free, response = moved[:, : known.shape[1]], moved[:, known.shape[1] :]
@@ -277,8 +278,15 @@ class StepSlopes:
         stiffness = np.where(taken.follows, work.drive_stiffness, 0.0)
         return stiffness, work.damping + np.where(taken.follows, work.drive_damping, 0.0)
 
-    def _rows(self, taken: StepTaken, v: Array, middle: Array, by_v: Array) -> _Rows:
-        """Return the rows of a step, which starts with v, with their changes."""
+    def _rows(self, taken: StepTaken, v: Array, moved: tuple[Array, Array, Array]) -> _Rows:
+        """Return the rows of a step, which starts with v, with their changes.
+
+        Args:
+            taken: What it was computed from.
+            v: (nv,) the velocity at its start.
+            moved: Changes of the configuration at its midpoint, of v and of its length, (…, n).
+        """
+        middle, by_v, length = moved
         jacobian = _dense(taken.rows, len(v))
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, *taken.near, self._spare)
@@ -290,7 +298,17 @@ class StepSlopes:
             motions = slopes.motions(velocity)
             for k, row in enumerate(slopes.rows):
                 out[3 * k : 3 * k + 3] = turns[k] @ row.slopes(motions, True) @ middle
+        bends, changes = self._bends(taken.h, slopes, (taken.middle, v), (middle, by_v))
+        bent = 0.5 * (taken.h * changes + bends[:, :, None] * length)
+        turned = (turns @ bent).reshape(-1, middle.shape[1])
+        start[: len(turned)] -= turned
+        end[: len(turned)] += turned
         return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end)
+
+    def _bends(
+        self, h: float, slopes: RowSlopes, state: tuple[Array, Array], changes: tuple[Array, Array]
+    ) -> RowBends:
+        return row_bends(self._model, self._aside, h, slopes, state, changes)
 
     def _mass(self, q: Array) -> Array:
         upper = mass_matrix(self._model, self._data, q)
@@ -346,9 +364,9 @@ class StepSlopes:
             rate[axes] = rotation @ v[axes]
         return rate, by_rate
 
-    def _removed(self, by_q: Array, taken: StepTaken) -> Array:
+    def _removed(self, by_q: Array, taken: StepTaken, moved: _Moved) -> Array:
         """Return changes of q (nv, n) at the end of a step after overlap has been taken away. (D36)"""
-        model = self._model
+        model, h = self._model, taken.h
         for xi, pushes, before, rows, near in taken.removals:
             placed = PlacedRobot(model, self._data, before)
             slopes = RowSlopes(placed, *near, self._spare)
@@ -369,6 +387,13 @@ class StepSlopes:
             solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
+            state, changes = (before, taken.found.v_end), (by_q, moved.v_end)
+            left = np.zeros((len(jacobian), by_q.shape[1]))
+            bends, bent = self._bends(h, slopes, state, changes)
+            off = 0.125 * h * (h * bent[:, 2] + 2.0 * bends[:, 2, None] * moved.length)
+            off[: len(rows.contacts)][bends[: len(rows.contacts), 2] < 0.0] = 0.0
+            left[2:of_contacts:3] = off
+            opened -= left[every[acts]]
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
             turn, push = pin.dIntegrate(model, before, xi)
             by_q = turn @ by_q + push @ (free + response @ impulses)

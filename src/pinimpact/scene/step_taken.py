@@ -59,6 +59,7 @@ class StepTaken:
         arriving: Numbers of the near contacts, and limits past those, that touch where it is cut.
         struck: Of contacts of two shapes that touch where it is cut, by number.
         touching: Gap up to which contacts touch [m].
+        overlap: Up to which gaps are closed though they are below zero [m].
         removals: Of overlap at the end, one after another.
     """
 
@@ -73,6 +74,7 @@ class StepTaken:
     rows: StepRows
     found: StepResult
     touching: float
+    overlap: float
     arriving: tuple[int, ...] = ()
     struck: Mapping[int, Corner] = field(default_factory=dict)
     removals: list[Removal] = field(default_factory=list)

@@ -25,7 +25,14 @@ from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
-from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
+from ._kernels.tolerances import (
+    STEPS_SHORTEST,
+    STEPS_SLACK,
+    STEPS_SLOW,
+    STEPS_STILL,
+    STEPS_TOGETHER,
+    STEPS_TOUCH,
+)
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -73,6 +80,7 @@ class TimeStepping(Integrator):
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = STEPS_STILL * (work.resting_speed or 1.0)
+        self._slow = STEPS_SLOW * (work.resting_speed or 1.0)
         self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
@@ -190,7 +198,7 @@ class TimeStepping(Integrator):
         if closing.any():
             self._sample()
             if step.taken is not None:
-                touches = closing & (_gaps_at(share, h, rows, found) <= within)
+                touches = closing & (found.gaps_at(share, h, rows) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
             self._collide(slowest, within, step.taken)
             return CUT
@@ -224,12 +232,12 @@ class TimeStepping(Integrator):
         self._invert(middle, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, self._tree, self._start),
-            *(self._rest.joints, self._collides, self._compliances),
+            *(self._rest.joints, self._collides, self._compliances, self._slow),
         )
         state.warm_start = np.array(state.warm_start)
         rows = self._rows(middle, v, h, slack, self._faces.boxes)
         while True:
-            found, state.pushed = _empty_result(rows, len(v)), np.array(pushed)
+            found, state.pushed = rows.room(len(v)), np.array(pushed)
             off, *ends = midpoint_step(
                 *(self.work, t + 0.5 * h, h, middle, v, strikes),
                 *(system, rows, state.warm_start, state.pushed, found),
@@ -393,7 +401,7 @@ class TimeStepping(Integrator):
         kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
         rests = self._rest.joints[work.velocity_joint]
         given = h, q, softened, pushed, follows, rests, self._near_of(rows), axes
-        return StepTaken(*given, rows, kept, self._touching)
+        return StepTaken(*given, rows, kept, self._touching, self._slow * h)
 
     def _near_of(self, rows: StepRows) -> Near:
         """Return what some rows belong to, with the corners that contacts of two shapes stand for now."""
@@ -421,7 +429,7 @@ class TimeStepping(Integrator):
             if unknown and not len(self._numbers(state.q, still, h, -self._touching, False)):
                 break
             rows = self._rows(state.q, still, h, depth, unknown)
-            depth = overlap_at(self.work, state.q, state.v, rows)
+            depth = overlap_at(self.work, state.q, state.v, h, rows)
             if depth <= self._touching:
                 break
             self._invert(state.q, self._no_change)
@@ -468,20 +476,6 @@ class TimeStepping(Integrator):
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)
             self._sample()
-
-
-def _gaps_at(part: float, h: float, rows: StepRows, found: StepResult) -> Array:
-    """Return the gaps (nc + nl,) after a part of a step, whose rates are linear in time."""
-    start, end = found.u_start[rows.normals], found.u_end[rows.normals]
-    return found.gap_end + h * ((part - 1.0) * start + 0.5 * (part * part - 1.0) * (end - start))
-
-
-def _empty_result(rows: StepRows, nv: int) -> StepResult:
-    """Return room for what a step leads to."""
-    impulse, u_start, u_end = np.empty((3, len(rows.counts)))
-    predicted, v_end = np.empty((2, nv))
-    items = len(rows.contacts) + len(rows.limits)
-    return StepResult(impulse, u_start, u_end, np.empty(items, dtype=bool), predicted, v_end, np.empty(items))
 
 
 def _widest(before: Integers) -> int:

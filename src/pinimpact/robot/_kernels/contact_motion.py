@@ -176,9 +176,9 @@ def turning_bound(J, signs, R, k, peak, h):
     return k[RIM] * size
 
 
-@declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
+@declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @external
-def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, surface):
+def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, turning, surface):
     """Fill the kinematics of a closed contact, in axes t₁, t₂, n carried by the surface, see `carried_axes`.
 
     Args:
@@ -191,6 +191,7 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
         jacobian: (3, nv) takes the contact Jacobian.
         velocity: (3,) takes the contact velocity v.
         acceleration: (3,) takes dv/dt for the accelerations given.
+        turning: (3,) takes the part of it that is added in axes that stand still.
         surface: (3,) takes the velocity of the surface relative to its carrier.
 
     Returns:
@@ -228,11 +229,13 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     # as the axes turn, v in them changes
     a1, a2, a3 = cross(s1, s2, s3, v1, v2, v3)
     g1, g2, g3 = g1 - a1, g2 - a2, g3 - a3
+    e1, e2, e3 = a1, a2, a3
     a1, a2, a3, b1, b2, b3 = carried_axes(k, l1, l2, l3)
     a1, a2, a3 = rotate(S, a1, a2, a3)
     b1, b2, b3 = rotate(S, b1, b2, b3)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, v1, v2, v3, velocity)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, g1, g2, g3, acceleration)
+    _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, e1, e2, e3, turning)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
     fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
     return d - k[RADIUS]

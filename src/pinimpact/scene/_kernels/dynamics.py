@@ -170,13 +170,14 @@ def moving_columns(work, i, columns, signs):
 def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
     """Fill the motion of a contact, see `contact_motion.contact_motion`; return the gap [m]."""
     set_signs(work, i)
+    turning = surface  # which is filled after it
     return motion_by_columns(
-        work, i, work.joint_jacobian, work.velocity_signs, jacobian, velocity, acceleration, surface
+        work, i, work.joint_jacobian, work.velocity_signs, jacobian, velocity, acceleration, turning, surface
     )
 
 
 @inlined
-def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration, surface):
+def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration, turning, surface):
     """Fill the motion of a contact, with some columns of the joint Jacobian and their signs."""
     placements, velocities, accelerations = (
         work.placements,
@@ -197,6 +198,7 @@ def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration,
         jacobian,
         velocity,
         acceleration,
+        turning,
         surface,
     )
 

@@ -27,7 +27,7 @@ from .dynamics import (
     sphere_gap,
 )
 from .step_impulses import step_impulses
-from .step_rows import StepResult, StepRows, StepSystem, normal_row
+from .step_rows import StepResult, StepRows, StepSystem, closing_speed, normal_row
 from .workspace import SceneWorkspace
 
 
@@ -71,7 +71,7 @@ def near_rows(work, q, v, h, slack, idle, rests, placed, near):
 
 
 @inlined
-def fill_rows(work, v, rows, u, acceleration):
+def fill_rows(work, v, rows, u, acceleration, turning):
     """Fill the rows of a step at the state last evaluated.
 
     Args:
@@ -79,6 +79,7 @@ def fill_rows(work, v, rows, u, acceleration):
         rows: The `StepRows`; what stands after its numbers is filled.
         u: (rows,) takes their velocities at v.
         acceleration: (nc + nh, 3) takes accelerations of contacts without contact forces [m/s²].
+        turning: (nc + nh, 3) takes what is added to these in axes that stand still [m/s²].
     """
     contacts, held, limits, dry, values, columns, counts, surface, gap = rows
     every, width = len(contacts) + len(held), values.shape[1]
@@ -92,7 +93,7 @@ def fill_rows(work, v, rows, u, acceleration):
             for e in range(6):
                 moving[e, m] = work.joint_jacobian[e, columns[a, m]]
         gap[k] = motion_by_columns(
-            work, i, moving, signs[:count], jacobian, motion, acceleration[k], surface[k]
+            work, i, moving, signs[:count], jacobian, motion, acceleration[k], turning[k], surface[k]
         )
         gap[k] -= work.rest_gap[i]
         for e in range(3):
@@ -106,6 +107,35 @@ def fill_rows(work, v, rows, u, acceleration):
     for k in range(len(dry)):
         a = 3 * every + len(limits) + k
         values[a, 0], columns[a, 0], counts[a], u[a] = 1.0, dry[k], 1, v[dry[k]]
+
+
+@inlined
+def bend_rows(work, h, rows, acceleration, turning, u_start, offset):
+    """Let velocities of contacts be those at the ends of a step: rows change by ½h J̇ v to either side. (16.2)
+
+    Args:
+        h: Length of the step [s].
+        rows: The `StepRows`.
+        acceleration, turning: See `fill_rows`. Axes stand still for tangential velocities; the normal follows
+            the surface, as the rate of the gap does.
+        u_start: (rows,) velocities at the start, with the rows at the midpoint; takes the change.
+        offset: (rows,) what is added to J v; takes that for the end.
+    """
+    bends = np.empty(len(offset))
+    fill_bends(work, rows, acceleration, turning, bends)
+    for a in range(3 * len(acceleration)):
+        u_start[a] -= 0.5 * h * bends[a]
+        offset[a] += 0.5 * h * bends[a]
+
+
+@inlined
+def fill_bends(work, rows, acceleration, turning, bends):
+    """Fill J̇ v (rows,) of contacts at the state last evaluated; arguments are those of `bend_rows`."""
+    rates(rows.values, rows.columns, rows.counts, work.acceleration, bends)
+    for k in range(len(acceleration)):
+        for e in range(3):
+            still = turning[k, e] if e < 2 else 0.0
+            bends[3 * k + e] = acceleration[k, e] + still - bends[3 * k + e]
 
 
 @inlined
@@ -206,9 +236,9 @@ def contact_problem(work, h, system, rows, arrives, free):
             lower[k] = -upper[k]
         elif a >= 3 * every:
             lower[k] = 0.0
-            free[a] += max(gap[a - 2 * every], 0.0) / h
+            free[a] += closing_speed(gap[a - 2 * every], system.slow, h)
     for i in range(every):
-        free[3 * i + 2] += (max(gap[i], 0.0) if i < nc else gap[i]) / h
+        free[3 * i + 2] += closing_speed(gap[i], system.slow, h) if i < nc else gap[i] / h
     problem = VelocityProblem(
         *(system.mass, system.inverse, system.start, values, columns, counts, free, friction),
         *(lower, upper, compliance),
@@ -276,16 +306,17 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
     """
     n, nv, powers = len(rows.counts), len(v), np.empty(2)
     offset, free, mean = np.empty(n), np.empty(n), np.empty(nv)
-    acceleration = np.empty((len(rows.contacts) + len(rows.held), 3))
+    acceleration, turning = np.empty((2, len(rows.contacts) + len(rows.held), 3))
     u_start, predicted, v_end = found.u_start, found.predicted, found.v_end
     set_state(work, q, v)
     evaluate_without_contacts(work, t, powers)
     if work.callback_failed:
         return 0.0, 1.0, 0.0, 0.0
-    fill_rows(work, v, rows, u_start, acceleration)
+    fill_rows(work, v, rows, u_start, acceleration, turning)
     rates(rows.values, rows.columns, rows.counts, v, offset)
     for a in range(n):
         offset[a] = u_start[a] - offset[a]
+    bend_rows(work, h, rows, acceleration, turning, u_start, offset)
     free_velocity(h, v, work.acceleration, system, v, predicted)
     velocities(rows, offset, predicted, free)
     find_arrivals(work, h, strikes, system, rows, acceleration, free, found)

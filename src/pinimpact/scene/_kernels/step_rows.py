@@ -45,6 +45,14 @@ class StepRows(NamedTuple):
         nc, nh = len(self.contacts), len(self.held)
         return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
 
+    def room(self, nv: int) -> StepResult:
+        """Return room for what a step leads to, with nv velocities."""
+        impulse, u_start, u_end = np.empty((3, len(self.counts)))
+        predicted, v_end = np.empty((2, nv))
+        items = len(self.contacts) + len(self.limits)
+        arrives, gaps = np.empty(items, dtype=bool), np.empty(items)
+        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps)
+
     @property
     def held_rows(self) -> Integers:
         """(3 nh,) The rows of held contacts."""
@@ -63,6 +71,7 @@ class StepSystem(NamedTuple):
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
         compliances: (n,) of all contacts.
+        slow: Speed up to which overlap at a midpoint is closed, as gaps are [m/s].
     """
 
     mass: FloatRows
@@ -73,6 +82,7 @@ class StepSystem(NamedTuple):
     rests: Flags
     collides: Flags
     compliances: Floats
+    slow: float
 
 
 class StepResult(NamedTuple):
@@ -96,6 +106,11 @@ class StepResult(NamedTuple):
     v_end: Floats
     gap_end: Floats
 
+    def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
+        """Return the gaps (nc + nl,) after a part of a step of length h, whose rates are linear in time."""
+        start, end = self.u_start[rows.normals], self.u_end[rows.normals]
+        return self.gap_end + h * ((part - 1.0) * start + 0.5 * (part * part - 1.0) * (end - start))
+
 
 class MeanForces(NamedTuple):
     """The mean forces of a step.
@@ -111,6 +126,12 @@ class MeanForces(NamedTuple):
     points: FloatRows
     axes: FloatStack
     joints: Floats
+
+
+@inlined
+def closing_speed(gap, slow, h):
+    """Return the speed [m/s] at which a gap is to close; overlap that closes faster is removed instead."""
+    return gap / h if gap > -slow * h else 0.0
 
 
 @inlined

@@ -109,6 +109,10 @@ STEPS_STILL = 1e-5
 """Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
 leaves at rest."""
 
+STEPS_SLOW = LITTLE
+"""Part of the resting speed at which overlap at a midpoint may be closed as gaps are: closed contacts are off
+by less, to either side, and what lands overlaps by more, and would bounce."""
+
 STEPS_LEFT = 10.0 * SETTLED
 """Part of what impulses change of velocities that the contact problem leaves at rest: what changes by more
 has begun to move, however little that is after a short step."""
