@@ -298,6 +298,8 @@ class StepSlopes:
             motions = slopes.motions(velocity)
             for k, row in enumerate(slopes.rows):
                 out[3 * k : 3 * k + 3] = turns[k] @ row.slopes(motions, True) @ middle
+        if not taken.found.bent[0]:
+            return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end)
         bends, changes = self._bends(taken.h, slopes, (taken.middle, v), (middle, by_v))
         bent = 0.5 * (taken.h * changes + bends[:, :, None] * length)
         turned = (turns @ bent).reshape(-1, middle.shape[1])

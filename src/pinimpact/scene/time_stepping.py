@@ -377,8 +377,7 @@ class TimeStepping(Integrator):
         contacts = np.concatenate([rows.contacts, rows.held])
         world, points = np.zeros((2, len(contacts), 3))
         mean = MeanForces(world, points, np.empty((len(contacts), 3, 3)), np.zeros(work.nv))
-        still = STEPS_STILL * (work.resting_speed or 1.0)
-        acts = report_step(work, h, still, state.v, system, rows, found, coefficients, mean)
+        acts = report_step(work, h, self._still, state.v, system, rows, found, coefficients, mean)
         step = DenseStep(t, h, state.q, state.v, state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
         if acts or resting is not None:

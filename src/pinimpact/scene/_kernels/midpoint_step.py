@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from ..._compile.declared import FLAGS, FLOATS, FOUR_FLOATS, INTEGERS, declared
-from ..._compile.jit import inlined, jit
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, rates
-from ..._numeric.loops import flags
+from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric
 from ..._numeric.tolerances import SETTLED, SOFTEST
 from ...geometry._kernels.constants import RADIUS
@@ -28,6 +28,7 @@ from .dynamics import (
 )
 from .step_impulses import step_impulses
 from .step_rows import StepResult, StepRows, StepSystem, closing_speed, normal_row
+from .tolerances import STEPS_GAIN
 from .workspace import SceneWorkspace
 
 
@@ -280,6 +281,24 @@ def close_gaps(work, h, system, rows, found):
     return share, work_done, overlap
 
 
+@inlined
+def gains(h, system, rows, v, pushed, found):
+    """Return whether contacts do work on the robot in a step from velocities v (nv,).
+
+    Rows at the midpoint alone cannot: with J v⁺ = 0 the work is −½ (J v)ᵀ W⁻¹ J v. Those that bend add
+    ½ bᵀ W⁻¹ b, which has no bound near a singular posture.
+    """
+    work_done = energy = 0.0
+    for a in range(3 * len(rows.surface)):
+        work_done += 0.5 * found.impulse[a] * (found.u_start[a] + found.u_end[a])
+    if work_done <= 0.0:
+        return False
+    for c in range(len(v)):
+        for d in range(len(v)):
+            energy += 0.5 * system.mass[c, d] * (v[c] * v[d] + h * h * pushed[c] * pushed[d])
+    return work_done > STEPS_GAIN * energy
+
+
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, bool),
     *(StepSystem, StepRows, FLOATS, FLOATS, StepResult),
@@ -304,6 +323,24 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
     Returns:
         How far its impulses are from Coulomb's law, see `step_impulses`, and what `close_gaps` returns.
     """
+    first, before = begin.copy(), pushed.copy()
+    result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, True)
+    found.bent[0] = work.callback_failed or not gains(h, system, rows, v, pushed, found)
+    if found.bent[0]:
+        return result
+    assign(begin, first)
+    assign(pushed, before)
+    return attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, False)
+
+
+@declared(
+    *(SceneWorkspace, float, float, FLOATS, FLOATS, bool),
+    *(StepSystem, StepRows, FLOATS, FLOATS, StepResult, bool),
+    result=FOUR_FLOATS,
+)
+@external
+def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent):
+    """Take a step with rows that bend along its velocity, or do not; see `midpoint_step`."""
     n, nv, powers = len(rows.counts), len(v), np.empty(2)
     offset, free, mean = np.empty(n), np.empty(n), np.empty(nv)
     acceleration, turning = np.empty((2, len(rows.contacts) + len(rows.held), 3))
@@ -316,7 +353,8 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
     rates(rows.values, rows.columns, rows.counts, v, offset)
     for a in range(n):
         offset[a] = u_start[a] - offset[a]
-    bend_rows(work, h, rows, acceleration, turning, u_start, offset)
+    if bent:
+        bend_rows(work, h, rows, acceleration, turning, u_start, offset)
     free_velocity(h, v, work.acceleration, system, v, predicted)
     velocities(rows, offset, predicted, free)
     find_arrivals(work, h, strikes, system, rows, acceleration, free, found)

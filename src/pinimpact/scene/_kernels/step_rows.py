@@ -51,7 +51,7 @@ class StepRows(NamedTuple):
         predicted, v_end = np.empty((2, nv))
         items = len(self.contacts) + len(self.limits)
         arrives, gaps = np.empty(items, dtype=bool), np.empty(items)
-        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps)
+        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, np.empty(1, dtype=bool))
 
     @property
     def held_rows(self) -> Integers:
@@ -96,6 +96,7 @@ class StepResult(NamedTuple):
         predicted: (nv,) the velocity with which forces were evaluated at the end.
         v_end: (nv,) the velocity at the end.
         gap_end: (nc + nl,) the gaps at the end [m].
+        bent: (1,) whether the rows of contacts bend along the velocity.
     """
 
     impulse: Floats
@@ -105,6 +106,7 @@ class StepResult(NamedTuple):
     predicted: Floats
     v_end: Floats
     gap_end: Floats
+    bent: Flags
 
     def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
         """Return the gaps (nc + nl,) after a part of a step of length h, whose rates are linear in time."""

@@ -113,6 +113,10 @@ STEPS_SLOW = LITTLE
 """Part of the resting speed at which overlap at a midpoint may be closed as gaps are: closed contacts are off
 by less, to either side, and what lands overlaps by more, and would bounce."""
 
+STEPS_GAIN = 1e-4
+"""Part of the kinetic energy of a step and its impulses that contacts may add to it, against their surfaces:
+what rows that bend miss is some 1e-6, and all of it next to singular postures."""
+
 STEPS_LEFT = 10.0 * SETTLED
 """Part of what impulses change of velocities that the contact problem leaves at rest: what changes by more
 has begun to move, however little that is after a short step."""
