@@ -129,7 +129,7 @@ NUMBERS = [
     (tolerances.STEPS_GAIN, 1e-4, "add more than $10^{-4}$ of the kinetic energy of $v$"),
     (tolerances.STEPS_SLOW, 1e-3, "is more than $10^{-3}$ of the resting speed the last term"),
     (scene_impacts.CROWD, 16, "more than 16 contacts of more than five islands touch"),
-    (scene_impacts.FEW, 8, "with more than 8 contacts by events alone"),
+    (scene_impacts.FEW, 8, "with more than 8 contacts, and without collision, by events alone"),
     (instant.ISLANDS, 5, "of more than five islands touch"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (tolerances.NUDGE, 2.0**-26, r"\max\bigl(2^{-26}\,|v_t|"),

@@ -94,8 +94,6 @@ def planar(scene, q, v):
     return Scene(arm(turns=False), scene.contacts), q[1:], v[1:]
 
 
-# what the first steps leave of the velocity is stopped later, by impacts of their own
-@pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
 @pytest.mark.parametrize("kind", [lambda *arm: arm, rough, planar])
 @pytest.mark.parametrize("bend", [1e-4, 1e-5, -1e-6])
 @pytest.mark.parametrize("rtol", [4e-4, 1e-6])

@@ -236,7 +236,8 @@ class Instant:
             return [
                 self._take_over(jammed, self._impacts.without_collision(self.state.q, self.state.v, jammed))
             ]
-        group = self._impacts.without_forces(self.state.t, self.state.q, v, touching, slips, 0.0)
+        refuse = self.crowds_refused
+        group = self._impacts.without_forces(self.state.t, self.state.q, v, touching, slips, 0.0, refuse)
         if group is None:
             return []
         self.change_velocity(v)
@@ -397,7 +398,8 @@ class Instant:
         slips = (modes[touching] == SLIP) & (np.array(touching) < work.contacts)
         passed = without and work.force_margin == -math.inf
         slack = max(NEARLY_SINGULAR * passed, CLEAR * singular)
-        group = self._impacts.without_forces(self.state.t, self.state.q, self.state.v, touching, slips, slack)
+        now = self.state.t, self.state.q, self.state.v
+        group = self._impacts.without_forces(*now, touching, slips, slack, self.crowds_refused)
         if group is None:
             return False
         slipping = self._names(touching, slips)

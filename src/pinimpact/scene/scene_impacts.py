@@ -251,7 +251,7 @@ class SceneImpacts:
         return group_impact(v, response, solved, sources, axes, 0.0)
 
     def without_forces(
-        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: Bools, slack: float
+        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: Bools, slack: float, refuse: bool
     ) -> GroupImpact | None:
         """Resolve the impact without collision where no forces let contacts slip on. (theory.md, 13)
 
@@ -262,6 +262,7 @@ class SceneImpacts:
             touching: All that touch, contacts before limits.
             slips: Which of these slip; the others are at rest.
             slack: Part by which friction may be less than where the forces have no bound.
+            refuse: Whether it is refused where its waves cannot be followed from event to event.
 
         Returns:
             The impact; None where nothing comes of it, so that it is none.
@@ -295,9 +296,11 @@ class SceneImpacts:
         e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
         numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
         try:
-            solved = self._solve("propagate", every, numbers, e, touching)
+            solved = self._solve("propagate", every, numbers, e, touching, not refuse)
         except UnstoppableApproachError:  # what neither forces nor impulses can hold
             return None
+        if refuse and not solved.solution.story.resolved:
+            raise IrregularMotionError("scene: an impact without collision is not resolved")
         change = matrices.delassus @ solved.solution.impulse.ravel()
         if not float(np.abs(change).max()) > GROWN * nudge:
             return None
