@@ -80,7 +80,7 @@ class ContactRow(NamedTuple):
         """(3, nv) The rows in world axes."""
         at, shifts, motions = self.place.at, self.place.shifts, self.tree.J
         point = at[places.POINT : places.POINT + 3]
-        moved = motions[:3] + np.cross(motions[3:].T, point).T
+        moved = motions[:3] - pin.skew(point) @ motions[3:]
         return np.asarray((shifts[:, places.TIP] - shifts[:, places.CARRIER]) * moved)
 
     @property
@@ -89,7 +89,7 @@ class ContactRow(NamedTuple):
         at = self.place.at
         arm = at[places.POINT : places.POINT + 3] - at[places.ORIGIN : places.ORIGIN + 3]
         material = at[places.MATERIAL : places.MATERIAL + 3]
-        return np.asarray(material + np.cross(at[places.SPIN : places.SPIN + 3], arm))
+        return np.asarray(material + pin.skew(at[places.SPIN : places.SPIN + 3]) @ arm)
 
     def slopes(self, motions: Array, relative: bool = False) -> Array:
         """Return ∂(J x)/∂q (3, nv) for the motions of x, as `velocity_slopes`. (D19)"""
@@ -105,7 +105,7 @@ class ContactRow(NamedTuple):
 
     def turned(self, force: Array) -> Array:
         """Return how a vector (3,) that is fixed in the contact axes changes with q, (3, nv)."""
-        return np.cross(self.turns.T, force).T
+        return np.asarray(-pin.skew(force) @ self.turns)
 
 
 class RowSlopes:
@@ -122,6 +122,7 @@ class RowSlopes:
         contacts: The contacts, with corners fixed to the shapes.
         axes: (3, 3) of each contact, as rows.
         rows: Their rows.
+        fixed: The same, with corners fixed to the shapes.
         over_shapes: By place of a corner: how it and the normal move over the shapes with q, (3, nv) each.
         features_meet: Whether a corner is a vertex of one shape on an edge of the other.
 
@@ -146,10 +147,11 @@ class RowSlopes:
         ]
         at, self.rows = self.of(self.contacts, True)
         self.axes = [one.axes for one in at]
-        self.over_shapes, self.features_meet = {}, False
+        self.fixed, self.over_shapes, self.features_meet = list(self.rows), {}, False
         for k, corner in corners.items():
             shifts = self.rows[k].place.shifts
             fixed, n = shifts.copy(), self.axes[k][2]
+            self.fixed[k] = ContactRow(self._tree, self.rows[k].place._replace(shifts=fixed))
             self.features_meet |= corner.follow(placed.data, self._tree.J, shifts)
             shift, turn = shifts[:, :3] - fixed[:, :3], (shifts - fixed)[:, places.TURN : places.TURN + 3]
             self.over_shapes[k] = shift.T, np.cross(turn, n).T

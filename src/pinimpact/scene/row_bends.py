@@ -6,6 +6,7 @@ tangential components; along the normal it is the second rate of the gap.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +14,12 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..robot.derivatives import Tree
-from ..robot.many_derivatives import RowSlopes, motions_in, rows_of
+from ..robot.many_derivatives import ContactRow, RowSlopes, motions_in, rows_of
 from ..robot.placed_robot import PlacedRobot
 
-PART = 0.01
-"""Part of a step to either side of its midpoint from which rates along its velocity are computed: their error
-is its square, or rounding over it."""
+PART = 1e-4
+"""Part of a step from its midpoint to where rates along its velocity are computed from: their error is half
+of it in second rates, which count for half a step, or rounding over it."""
 
 
 class RowBends(NamedTuple):
@@ -34,7 +35,7 @@ class RowBends(NamedTuple):
 
 
 class _Along(NamedTuple):
-    """Velocities of contacts at a configuration to one side of the midpoint, and how they change.
+    """Velocities of contacts at a configuration, and how they change.
 
     Attributes:
         velocity: (k, 3) against the surface, in the world.
@@ -71,8 +72,10 @@ def row_bends(
     if not state[1].any() or not k:
         return RowBends(np.zeros((k, 3)), np.zeros((k, 3, n)))
     s = PART * h
-    sides = [_along(model, data, slopes, state, changes, t) for t in (-s, s)]
-    bends, rates, by, by_rates = ((after - before) / (2.0 * s) for before, after in zip(*sides, strict=True))
+    ends = [
+        _along(*one, slopes, state[1], changes) for one in _places(model, data, slopes, state, changes, s)
+    ]
+    bends, rates, by, by_rates = ((after - before) / s for before, after in zip(*ends, strict=True))
     found, by_state = np.empty((k, 3)), np.empty((k, 3, n))
     for i, (row, axes) in enumerate(zip(slopes.rows, slopes.axes, strict=True)):
         turned = by[i] - row.turned(bends[i]) @ changes[0]
@@ -81,21 +84,35 @@ def row_bends(
     return RowBends(found, by_state)
 
 
-def _along(
+def _places(
     model: pin.Model,
     data: pin.Data,
     slopes: RowSlopes,
     state: tuple[Array, Array],
     changes: tuple[Array, Array],
-    t: float,
-) -> _Along:
-    """Return velocities v of the contacts where the robot would be at v after a time t."""
+    s: float,
+) -> Iterator[tuple[float, list[ContactRow], Array, Array]]:
+    """Give time, rows, motions and changes of the configuration at the midpoint, and a time s along v."""
     (q, v), (by_q, by_v) = state, changes
-    turn, push = pin.dIntegrate(model, q, t * v)
-    moved = turn @ by_q + push @ (t * by_v)
-    placed = PlacedRobot(model, data, pin.integrate(model, q, t * v))
+    yield 0.0, slopes.fixed, slopes.motions(v), by_q
+    turn, push = pin.dIntegrate(model, q, s * v)
+    placed = PlacedRobot(model, data, pin.integrate(model, q, s * v))
     tree = Tree.of(placed)
-    motions, rows = motions_in(tree, v), rows_of(placed, tree, slopes.contacts, True)[1]
+    rows = rows_of(placed, tree, slopes.contacts, True)[1]
+    yield s, rows, motions_in(tree, v), turn @ by_q + push @ (s * by_v)
+
+
+def _along(
+    t: float,
+    rows: list[ContactRow],
+    motions: Array,
+    moved: Array,
+    slopes: RowSlopes,
+    v: Array,
+    changes: tuple[Array, Array],
+) -> _Along:
+    """Return velocities v of the contacts at one of `_places`."""
+    by_q, by_v = changes
     k, n = len(rows), by_q.shape[1]
     found = _Along(np.empty((k, 3)), np.empty(k), np.empty((k, 3, n)), np.empty((k, n)))
     for i, row in enumerate(rows):
