@@ -123,7 +123,6 @@ class RowSlopes:
         axes: (3, 3) of each contact, as rows.
         rows: Their rows.
         fixed: The same, with corners fixed to the shapes.
-        over_shapes: By place of a corner: how it and the normal move over the shapes with q, (3, nv) each.
         features_meet: Whether a corner is a vertex of one shape on an edge of the other.
 
     Raises:
@@ -147,14 +146,11 @@ class RowSlopes:
         ]
         at, self.rows = self.of(self.contacts, True)
         self.axes = [one.axes for one in at]
-        self.fixed, self.over_shapes, self.features_meet = list(self.rows), {}, False
+        self.fixed, self.features_meet = list(self.rows), False
         for k, corner in corners.items():
-            shifts = self.rows[k].place.shifts
-            fixed, n = shifts.copy(), self.axes[k][2]
-            self.fixed[k] = ContactRow(self._tree, self.rows[k].place._replace(shifts=fixed))
-            self.features_meet |= corner.follow(placed.data, self._tree.J, shifts)
-            shift, turn = shifts[:, :3] - fixed[:, :3], (shifts - fixed)[:, places.TURN : places.TURN + 3]
-            self.over_shapes[k] = shift.T, np.cross(turn, n).T
+            place = self.rows[k].place
+            self.fixed[k] = ContactRow(self._tree, place._replace(shifts=place.shifts.copy()))
+            self.features_meet |= corner.follow(placed.data, self._tree.J, place.shifts)
         if on_surface:
             for row, one in zip(self.rows, at, strict=True):
                 row.place.move_onto_surface(one)

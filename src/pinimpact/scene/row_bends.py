@@ -122,9 +122,11 @@ def _along(
         found.velocity[i], found.rate[i] = velocity, axes[2] @ velocity
         found.by[i] = (axes.T @ along + row.turned(velocity)) @ moved + jacobian @ by_v
         found.by_rate[i] = along[2] @ moved + axes[2] @ jacobian @ by_v
-        if i in slopes.over_shapes:
+        if slopes.rows[i] is not slopes.fixed[i]:  # a corner moves over the shapes, which carry that on
             tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
-            moves, tilt = (one @ by_q for one in slopes.over_shapes[i])  # carried on by the shapes
+            follows, fixed, n = slopes.rows[i], slopes.fixed[i], slopes.axes[i][2]
+            moves = (follows.place.shifts - fixed.place.shifts)[:, :3].T @ by_q
+            tilt = np.cross((follows.turns - fixed.turns).T, n).T @ by_q
             moves, tilt = moves + t * np.cross(tip, moves.T).T, tilt + t * np.cross(base, tilt.T).T
             by_moves = np.cross(tip - base, moves.T).T
             found.by[i] += by_moves
