@@ -49,18 +49,12 @@ _NUMBERS = {float: types.float64, int: types.int64, np.int64: types.int64, bool:
 
 
 class Job(NamedTuple):
-    """A kernel to be compiled.
+    """A kernel to be compiled."""
 
-    Attributes:
-        module, name, types: The kernel, and the types of its arguments.
-        needs: Indices of the jobs that must be done first: kernels whose code is inlined, or whose results
-            are not declared.
-    """
-
-    module: str
+    module: str  # the kernel, and the types of its arguments
     name: str
     types: tuple[Any, ...]
-    needs: Sequence[int] = ()
+    needs: Sequence[int] = ()  # indices of jobs that come first: of inlined code, or of undeclared results
 
 
 def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:

@@ -101,11 +101,7 @@ class InnerLibrary(KernelCode):
 
 
 class PartLibrary(InnerLibrary):
-    """The bitcode of an inner kernel and its callees, for the cache.
-
-    Attributes:
-        kernel: The kernel.
-    """
+    """The bitcode of an inner kernel and its callees, for the cache."""
 
     kernel: Kernel
 
@@ -132,15 +128,10 @@ class PartLibrary(InnerLibrary):
 
 
 class KernelLibrary(KernelCode):
-    """The machine code of a separately compiled kernel, with the inner kernels that it inlines.
-
-    Attributes:
-        kernel: The kernel.
-        callees: The separately compiled kernels that it calls.
-    """
+    """The machine code of a separately compiled kernel, with the inner kernels that it inlines."""
 
     kernel: Kernel
-    callees: tuple[Kernel, ...] = ()
+    callees: tuple[Kernel, ...] = ()  # the separately compiled kernels that it calls
     _final_module: Any
     _code: bytes = b""
     _symbols: tuple[str, ...] = ()

@@ -303,21 +303,13 @@ class Workspace(array.array):
 
 
 class _Plan(NamedTuple):
-    """The layout of the arrays of a workspace.
+    """The layout of the arrays of a workspace."""
 
-    Attributes:
-        sizes: Slot and value of each size.
-        handed: The given arrays, and their shapes.
-        places: For allocated arrays: position in the common memory, and shape.
-        room: Number of values of all of them.
-        slots, offsets: Slots of their addresses, and bytes from the start of the memory.
-    """
-
-    sizes: list[tuple[int, int]]
-    handed: list[tuple[_Array, tuple[int, ...]]]
-    places: dict[str, tuple[int, tuple[int, ...]]]
-    room: int
-    slots: NDArray[np.int64]
+    sizes: list[tuple[int, int]]  # slot and value of each size
+    handed: list[tuple[_Array, tuple[int, ...]]]  # the given arrays, and their shapes
+    places: dict[str, tuple[int, tuple[int, ...]]]  # of allocated arrays: position in the memory, and shape
+    room: int  # number of values of all of them
+    slots: NDArray[np.int64]  # slots of their addresses, and bytes from the start of the memory
     offsets: NDArray[np.int64]
 
 

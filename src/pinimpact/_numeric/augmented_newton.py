@@ -50,51 +50,29 @@ SLOPE = 0.1
 
 
 class VelocityProblem(NamedTuple):
-    """The law for nc contacts, three rows (t₁, t₂, n) each, and for ns scalar rows, in m velocities.
+    """The law for nc contacts, three rows (t₁, t₂, n) each, and for ns scalar rows, in m velocities."""
 
-    Attributes:
-        mass: (m, m) M.
-        inverse: (m, m) its inverse.
-        start: (m,) first columns of their rows that may not be zero.
-        values: (n, …) the nonzero entries of each row of J, with the same columns for all rows of a contact.
-        columns: (n, …) their columns, in ascending order.
-        counts: (n,) their numbers.
-        free: (n,) u without impulses.
-        friction: (nc,) coefficients of friction.
-        lower: (ns,) lower bounds of scalar impulses.
-        upper: (ns,) upper bounds of scalar impulses.
-        compliance: (nc,) of the contacts, up to a factor.
-    """
-
-    mass: FloatRows
-    inverse: FloatRows
-    start: Integers
-    values: FloatRows
-    columns: IntegerRows
-    counts: Integers
-    free: Floats
-    friction: Floats
-    lower: Floats
-    upper: Floats
-    compliance: Floats
+    mass: FloatRows  # (m, m) M
+    inverse: FloatRows  # (m, m) its inverse
+    start: Integers  # (m,) first columns of their rows that may not be zero
+    values: FloatRows  # (n, …) nonzero entries of each row of J, in the same columns for a whole contact
+    columns: IntegerRows  # (n, …) their columns, in ascending order
+    counts: Integers  # (n,) their numbers
+    free: Floats  # (n,) u without impulses
+    friction: Floats  # (nc,) coefficients of friction
+    lower: Floats  # (ns,) lower bounds of scalar impulses
+    upper: Floats  # (ns,) upper bounds of scalar impulses
+    compliance: Floats  # (nc,) of the contacts, up to a factor
 
 
 class Iterate(NamedTuple):
-    """Where the iteration stands.
+    """Where the iteration stands."""
 
-    Attributes:
-        w: (m,) velocities.
-        u: (n,) u_free + J w.
-        f: (n,) f⁺ of (16.3).
-        momentum: (m,) M w.
-        off: (m,) M w − Jᵀ f⁺.
-    """
-
-    w: Floats
-    u: Floats
-    f: Floats
-    momentum: Floats
-    off: Floats
+    w: Floats  # (m,) velocities
+    u: Floats  # (n,) u_free + J w
+    f: Floats  # (n,) f⁺ of (16.3)
+    momentum: Floats  # (m,) M w
+    off: Floats  # (m,) M w − Jᵀ f⁺
 
 
 @inlined

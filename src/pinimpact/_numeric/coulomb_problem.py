@@ -75,27 +75,16 @@ def into_cone(x, b, mu, least, directions, slides):
 
 
 class Scaled(NamedTuple):
-    """The problem with a diagonal of one.
+    """The problem with a diagonal of one."""
 
-    Attributes:
-        w: (3 nc + ns, 3 nc + ns) W.
-        rates: (3 nc + ns,) u_free.
-        mu: (nc,) coefficients of friction.
-        held: (nc,) contacts without bounds.
-        slides: (nc,) contacts that slide.
-        directions: (nc, 2) of their slip.
-        low: (nc + ns,) least normal forces and lower bounds.
-        high: (ns,) upper bounds.
-    """
-
-    w: FloatRows
-    rates: Floats
-    mu: Floats
-    held: Flags
-    slides: Flags
-    directions: FloatRows
-    low: Floats
-    high: Floats
+    w: FloatRows  # (3 nc + ns, 3 nc + ns) W
+    rates: Floats  # (3 nc + ns,) u_free
+    mu: Floats  # (nc,) coefficients of friction
+    held: Flags  # (nc,) contacts without bounds
+    slides: Flags  # (nc,) contacts that slide
+    directions: FloatRows  # (nc, 2) of their slip
+    low: Floats  # (nc + ns,) least normal forces and lower bounds
+    high: Floats  # (ns,) upper bounds
 
 
 @inlined

@@ -57,23 +57,14 @@ NO_JOINT_EFFECTS = ("joint limits", "joint damping", "joint friction")
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """The result of a demo.
+    """The result of a demo."""
 
-    Attributes:
-        robot: The robot, without the joints of `frozen`.
-        contacts: Contacts with the table; the first one collides.
-        trajectory: The motion, with the impact.
-        frozen: Joints without inertia, whose motion is undetermined; they are fixed.
-        stopped: Why the motion after the impact could not continue, or None.
-        turned: Whether the normal of the table is not vertical, because the contact point cannot move down.
-    """
-
-    robot: pin.RobotWrapper
-    contacts: tuple[Contact, ...]
-    trajectory: Trajectory
-    frozen: tuple[str, ...] = ()
-    stopped: str | None = None
-    turned: bool = False
+    robot: pin.RobotWrapper  # the robot, without the joints of `frozen`
+    contacts: tuple[Contact, ...]  # contacts with the table; the first one collides
+    trajectory: Trajectory  # the motion, with the impact
+    frozen: tuple[str, ...] = ()  # joints without inertia, whose motion is undetermined; they are fixed
+    stopped: str | None = None  # why the motion after the impact could not continue, or None
+    turned: bool = False  # whether the table is not level, because the contact point cannot move down
 
     @property
     def contact(self) -> Contact:
@@ -98,19 +89,12 @@ class Demo:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """The instant at which a point collides with the table.
-
-    Attributes:
-        joint: The joint of the point.
-        contact: The contact, with its table.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
-    """
+    """The instant at which a point collides with the table."""
 
     joint: int
     contact: Contact
-    q: Array
-    v: Array
+    q: Array  # (nq,) configuration
+    v: Array  # (nv,) velocity
 
 
 def run_demo(

@@ -46,15 +46,10 @@ contacts are further away."""
 
 @dataclass(frozen=True, eq=False)
 class Strike:
-    """A posture, and its contact point.
+    """A posture, and its contact point."""
 
-    Attributes:
-        q: (nq,) the configuration.
-        point: (3,) the contact point, in world axes.
-    """
-
-    q: Array
-    point: Array
+    q: Array  # (nq,) the configuration
+    point: Array  # (3,) the contact point, in world axes
 
 
 class Body:

@@ -56,21 +56,13 @@ class JointControl:
 
 @dataclass(frozen=True, eq=False)
 class LoadedScene:
-    """A scene file that is ready to run.
-
-    Attributes:
-        file: The content of the file.
-        robot: The robot, or all of them in one.
-        scene: The scene.
-        q: (nq,) initial configuration.
-        v: (nv,) initial velocity.
-    """
+    """A scene file that is ready to run."""
 
     file: SceneFile
-    robot: pin.RobotWrapper
+    robot: pin.RobotWrapper  # the robot, or all of them in one
     scene: Scene
-    q: Array
-    v: Array
+    q: Array  # (nq,) initial configuration
+    v: Array  # (nv,) initial velocity
 
     def run(self, progress: Any = None) -> Trajectory:
         """Simulate the scene for its duration; errors as in `simulate`."""

@@ -37,13 +37,7 @@ class StudyFile(Table):
 
 @dataclass(frozen=True)
 class LoadedStudy:
-    """A study file that is ready to run.
-
-    Attributes:
-        file: The content of the file.
-        loaded: Its scene.
-        over: The distributions.
-    """
+    """A study file that is ready to run."""
 
     file: StudyFile
     loaded: LoadedScene

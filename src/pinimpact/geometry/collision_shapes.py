@@ -21,21 +21,13 @@ from .tolerances import COINCIDE
 
 
 class ShapeTips(NamedTuple):
-    """The parts of a shape that can touch a plane, in the shape's own axes.
+    """The parts of a shape that can touch a plane, in the shape's own axes."""
 
-    Attributes:
-        kind: Kind of the shape, in a word.
-        centres: (m, 3) [m].
-        radius: Radius of the sphere about each [m].
-        rims: (m,) radius of the circle about each, 0 for none [m].
-        parts: Names of the parts; empty for a single one.
-    """
-
-    kind: str
-    centres: Array
-    radius: float
-    rims: Array
-    parts: tuple[str, ...]
+    kind: str  # kind of the shape, in a word
+    centres: Array  # (m, 3) [m]
+    radius: float  # radius of the sphere about each [m]
+    rims: Array  # (m,) radius of the circle about each, 0 for none [m]
+    parts: tuple[str, ...]  # names of the parts; empty for a single one
 
 
 def collision_model(robot: Any) -> pin.GeometryModel:

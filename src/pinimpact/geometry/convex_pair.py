@@ -17,32 +17,19 @@ from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, TIE
 
 
 class Gap(NamedTuple):
-    """The gap of two shapes.
+    """The gap of two shapes."""
 
-    Attributes:
-        value: The gap [m], negative if they overlap.
-        normal: (3,) unit vector of the separation, from B to A, in world axes.
-    """
-
-    value: float
-    normal: Array
+    value: float  # the gap [m], negative if they overlap
+    normal: Array  # (3,) unit vector of the separation, from B to A, in world axes
 
 
 class Touch(NamedTuple):
-    """A contact point of two shapes, an elementary contact.
+    """A contact point of two shapes, an elementary contact."""
 
-    Attributes:
-        kind: ``"vertex-face"`` (a vertex of A on a face of B), ``"face-vertex"``, ``"edge-edge"``,
-            ``"vertex-edge"``, ``"edge-vertex"`` or ``"vertex-vertex"``, of the cores.
-        point: (3,) of A's core, in world axes; for a face, B's point on it.
-        other: (3,) of B's core.
-        features: Numbers of A's vertex, edge or face and of B's; an edge's is its row in `edges`.
-    """
-
-    kind: str
-    point: Array
-    other: Array
-    features: tuple[int, int]
+    kind: str  # "vertex-face": of A on one of B; or another two of vertex, edge and face
+    point: Array  # (3,) of A's core, in world axes; for a face, B's point on it
+    other: Array  # (3,) of B's core
+    features: tuple[int, int]  # numbers of A's vertex, edge or face and of B's; of an edge its row in `edges`
 
     @property
     def mirrored(self) -> Touch:
@@ -158,19 +145,12 @@ def separation(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap
 
 
 class Turning(NamedTuple):
-    """A separating direction of two cores, and the features that it follows.
+    """A separating direction of two cores, and the features that it follows."""
 
-    Attributes:
-        value: The separation [m].
-        normal: (3,) from B to A.
-        edges: (2, 3) directions of the edges to which it is perpendicular; None for that of a face.
-        of_a: Whether it is the normal of a face of A, else of B.
-    """
-
-    value: float
-    normal: Array
-    edges: Array | None
-    of_a: bool
+    value: float  # the separation [m]
+    normal: Array  # (3,) from B to A
+    edges: Array | None  # (2, 3) directions of the edges that it is perpendicular to; None for that of a face
+    of_a: bool  # whether it is the normal of a face of A, else of B
 
 
 def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
@@ -294,17 +274,11 @@ def beyond_sides(shape: PlacedShape, k: int, point: Array) -> float:
 
 
 class Followed(NamedTuple):
-    """A pair of features at a later time.
+    """A pair of features at a later time."""
 
-    Attributes:
-        touch: The pair, with its points now.
-        normal: (3,) from B to A.
-        beyond: Distance of the closest points beyond the ends or sides of the features [m], negative within.
-    """
-
-    touch: Touch
-    normal: Array
-    beyond: float
+    touch: Touch  # the pair, with its points now
+    normal: Array  # (3,) from B to A
+    beyond: float  # how far the closest points are beyond the ends or sides of the features [m]; < 0 within
 
 
 def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Followed:

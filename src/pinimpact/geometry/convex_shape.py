@@ -21,22 +21,14 @@ class ConvexShape:
 
     A sphere is a point and its radius, a capsule a segment and its radius, a box or a hull a polytope and
     no radius.
-
-    Attributes:
-        vertices: (n, 3) of the core [m].
-        faces: The corners of each face of the core, numbers of vertices, counter-clockwise from outside.
-        edges: (m, 2) numbers of vertices.
-        normals: (f, 3) outward unit normals of the faces of the core.
-        radius: Radius of the swept sphere [m].
-        collision: The same shape in coal.
     """
 
-    vertices: Array
-    faces: tuple[Integers, ...]
-    edges: Integers
-    normals: Array
-    radius: float
-    collision: Any = field(repr=False)
+    vertices: Array  # (n, 3) of the core [m]
+    faces: tuple[Integers, ...]  # corners of each face of the core, counter-clockwise from outside
+    edges: Integers  # (m, 2) numbers of vertices
+    normals: Array  # (f, 3) outward unit normals of the faces of the core
+    radius: float  # radius of the swept sphere [m]
+    collision: Any = field(repr=False)  # the same shape in coal
 
     @cached_property
     def center(self) -> Array:

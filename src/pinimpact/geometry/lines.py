@@ -14,23 +14,14 @@ from .surfaces import Surface, Vector
 
 @dataclass(frozen=True, repr=False)
 class Line(Surface):
-    """A line with a radius as a surface for a point or a sphere; n points away from it.
-
-    Attributes:
-        point: A point of it [m], in the axes of its body, like all vectors.
-        line: Its unit direction.
-        normal: A unit vector perpendicular to it, the initial normal of the contact axes.
-        radius: Radius about the line [m].
-        body: Id of the frame to which it is attached; None for the world.
-        name: Name in reports.
-    """
+    """A line with a radius as a surface for a point or a sphere; n points away from it."""
 
     code: ClassVar[int] = LINE
-    point: Vector = (0.0, 0.0, 0.0)
-    line: Vector = (1.0, 0.0, 0.0)
-    normal: Vector = (0.0, 0.0, 1.0)
-    radius: float = 0.0
-    body: str | int | None = None
+    point: Vector = (0.0, 0.0, 0.0)  # a point of it [m], in the axes of its body, like all vectors
+    line: Vector = (1.0, 0.0, 0.0)  # its unit direction
+    normal: Vector = (0.0, 0.0, 1.0)  # a unit vector perpendicular to it: the initial n of the contact axes
+    radius: float = 0.0  # radius about the line [m]
+    body: str | int | None = None  # id of the frame to which it is attached; None for the world
     name: str | None = None
 
     @property

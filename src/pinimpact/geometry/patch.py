@@ -19,19 +19,12 @@ from .tolerances import COINCIDE, FACE, NEAREST
 
 
 class Patch(NamedTuple):
-    """Opposite points of two shapes.
+    """Opposite points of two shapes."""
 
-    Attributes:
-        normal: (3,) from the second shape to the first.
-        points: (k, 3) of the first shape [m].
-        others: (k, 3) of the second, opposite to them.
-        gaps: (k,) between them along the normal [m], negative where the shapes overlap.
-    """
-
-    normal: Array
-    points: Array
-    others: Array
-    gaps: Array
+    normal: Array  # (3,) from the second shape to the first
+    points: Array  # (k, 3) of the first shape [m]
+    others: Array  # (k, 3) of the second, opposite to them
+    gaps: Array  # (k,) between them along the normal [m], negative where the shapes overlap
 
 
 def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:

@@ -41,20 +41,13 @@ SAMPLES, SAFETY = 8, 1.5
 
 
 class PairState(NamedTuple):
-    """Two shapes at a time.
-
-    Attributes:
-        a, b: The shapes at their placements.
-        velocity_a, velocity_b: (6,) spatial velocities of their bodies at the world's origin, linear over
-            angular, in world axes.
-        acceleration_a, acceleration_b: (6,) rates of these, at the same place in space.
-    """
+    """Two shapes at a time."""
 
     a: PlacedShape
     b: PlacedShape
-    velocity_a: Array
+    velocity_a: Array  # (6,) spatial, at the world's origin, linear over angular, in world axes
     velocity_b: Array
-    acceleration_a: Array
+    acceleration_a: Array  # (6,) rates of these, at the same place in space
     acceleration_b: Array
 
     @property
@@ -65,44 +58,27 @@ class PairState(NamedTuple):
 
 
 class Advance(NamedTuple):
-    """Result of an advancement of two shapes.
+    """Result of an advancement of two shapes."""
 
-    Attributes:
-        time: Its end [s].
-        gap: The gap there [m].
-        touches: Whether they touch there, closing.
-    """
-
-    time: float
-    gap: float
-    touches: bool
+    time: float  # its end [s]
+    gap: float  # the gap there [m]
+    touches: bool  # whether they touch there, closing
 
 
 class Front(NamedTuple):
-    """The features that face each other along a normal, at a time.
+    """The features that face each other along a normal, at a time."""
 
-    Attributes:
-        heights_a, rates_a: (n,) heights of the points of A, and their rates.
-        heights_b, rates_b: (m,) heights of the points of B, and their rates.
-        apart: Height of the lowest point of A above the highest of B in contact [m].
-        value: The gap [m].
-        bend: Bound of the second rates, until `until` [m/s²].
-        until: Validity of the bounds [s].
-        closing_a, closing_b: (n,), (m,) second rates as far as they close the gap, up to a common one [m/s²].
-        third: Bound of the third rate of the gap, likewise [m/s³].
-    """
-
-    heights_a: Array
+    heights_a: Array  # (n,) heights of the points of A, and their rates
     rates_a: Array
-    heights_b: Array
+    heights_b: Array  # (m,) heights of the points of B, and their rates
     rates_b: Array
-    apart: float
-    value: float
-    bend: float
-    until: float = math.inf
-    closing_a: Array | None = None
+    apart: float  # height of the lowest point of A above the highest of B in contact [m]
+    value: float  # the gap [m]
+    bend: float  # bound of the second rates, until `until` [m/s²]
+    until: float = math.inf  # validity of the bounds [s]
+    closing_a: Array | None = None  # (n,), (m,) second rates that close the gap, less a common one [m/s²]
     closing_b: Array | None = None
-    third: float = math.inf
+    third: float = math.inf  # bound of the third rate of the gap, likewise [m/s³]
 
 
 def first_touch(
@@ -182,15 +158,10 @@ def _edges_turn(u: Array, w: Array, normal: Array, spin_a: Array, spin_b: Array)
 
 
 class Fastest(NamedTuple):
-    """What the motion of points of two shapes against each other does not exceed over a step.
+    """What the motion of points of two shapes against each other does not exceed over a step."""
 
-    Attributes:
-        second: The acceleration [m/s²].
-        third: Its rate [m/s³].
-    """
-
-    second: float
-    third: float
+    second: float  # the acceleration [m/s²]
+    third: float  # its rate [m/s³]
 
 
 def _fastest(at: Callable[[float], PairState], start: float, end: float) -> Fastest:

@@ -19,17 +19,11 @@ from .shape_pair import ShapePair, closest_points, point_contact
 
 
 class Corner(NamedTuple):
-    """A corner of a patch, where it was found.
-
-    Attributes:
-        pair: The shapes.
-        normal: (3,) from the second one to the first.
-        point, other: (3,) on the first and on the second, in the world.
-    """
+    """A corner of a patch, where it was found."""
 
     pair: ShapePair
-    normal: Array
-    point: Array
+    normal: Array  # (3,) from the second one to the first
+    point: Array  # (3,) on the first and on the second, in the world
     other: Array
 
     def contact(self, data: pin.Data, basis: Contact) -> Contact:
@@ -102,17 +96,11 @@ def _motions(columns: Array, carried: Array) -> tuple[Array, Array]:
 
 
 class _Side(NamedTuple):
-    """One of the shapes at a corner.
-
-    Attributes:
-        placed: The shape.
-        motions: Of the joints that carry it.
-        point: (3,) of its core at the corner.
-    """
+    """One of the shapes at a corner."""
 
     placed: PlacedShape
-    motions: tuple[Array, Array]
-    point: Array
+    motions: tuple[Array, Array]  # of the joints that carry it
+    point: Array  # (3,) of its core at the corner
 
     def moves(self, point: Array) -> Array:
         """Return the velocities (nv, 3) of a point that moves with it."""

@@ -19,20 +19,13 @@ LARGE = 60
 
 
 class Part(NamedTuple):
-    """Some trees of a robot, as a separate robot.
-
-    Attributes:
-        model: Their model.
-        data: Its Data.
-        q, v: Indices of its coordinates and velocities in those of the whole.
-        first: Number of its first joint in the whole, if its joints are consecutive.
-    """
+    """Some trees of a robot, as a separate robot."""
 
     model: pin.Model
     data: pin.Data
-    q: slice
-    v: slice
-    first: int
+    q: slice  # its coordinates in those of the whole
+    v: slice  # its velocities
+    first: int  # number of its first joint in the whole, if its joints are consecutive
 
     @property
     def joints(self) -> slice:

@@ -19,20 +19,13 @@ NO_BOUND = 1e300
 
 @dataclass(frozen=True, slots=True)
 class JointLimit:
-    """One bound of one joint coordinate: sign · (q[index_q] − bound) ≥ 0.
+    """One bound of one joint coordinate: sign · (q[index_q] − bound) ≥ 0."""
 
-    Attributes:
-        name: "joint_name lower" or "joint_name upper".
-        index_q, index_v: Indices of the coordinate in q and in v.
-        sign: 1 for a lower bound, −1 for an upper one.
-        bound: Its value [rad or m].
-    """
-
-    name: str
-    index_q: int
+    name: str  # "joint_name lower" or "joint_name upper"
+    index_q: int  # indices of the coordinate in q and in v
     index_v: int
-    sign: float
-    bound: float
+    sign: float  # 1 for a lower bound, −1 for an upper one
+    bound: float  # its value [rad or m]
 
 
 def joint_limits(model: pin.Model) -> tuple[JointLimit, ...]:

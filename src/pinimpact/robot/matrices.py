@@ -117,26 +117,15 @@ def contact_matrices(
 
 
 class ManyMatrices(NamedTuple):
-    """The matrices of a robot at n contacts; M Δq̇ = Jᵀ P for impulses P (3n,) in their axes.
+    """The matrices of a robot at n contacts; M Δq̇ = Jᵀ P for impulses P (3n,) in their axes."""
 
-    Attributes:
-        axes: (k, 3, 3) contact axes t₁, t₂, n as rows, in world axes; joint rows, which have none, come after
-            the k contacts.
-        jacobian: (3n, nv) J.
-        surface_velocity: (n, 3) of the surfaces, see `ContactGeometry`.
-        delassus: (3n, 3n) W, with held contacts, and locked and stiffened joints [1/kg].
-        response: (nv, 3n) Δq̇ per unit impulse.
-        held: Geometry of each held contact.
-        held_response: (h, 3, 3n) impulse on each held contact (world axes) per impulse.
-    """
-
-    axes: Array
-    jacobian: Array
-    surface_velocity: Array
-    delassus: Array
-    response: Array
-    held: tuple[ContactGeometry, ...]
-    held_response: Array
+    axes: Array  # (k, 3, 3) t₁, t₂, n as rows, in world axes, of the k contacts; not of joint rows
+    jacobian: Array  # (3n, nv) J
+    surface_velocity: Array  # (n, 3) of the surfaces, see `ContactGeometry`
+    delassus: Array  # (3n, 3n) W, with held contacts, and locked and stiffened joints [1/kg]
+    response: Array  # (nv, 3n) Δq̇ per unit impulse
+    held: tuple[ContactGeometry, ...]  # geometry of each held contact
+    held_response: Array  # (h, 3, 3n) impulse on each held contact (world axes) per impulse
 
     def velocity(self, v: ArrayLike) -> Array:
         """Return the (n, 3) contact velocities [m/s]."""

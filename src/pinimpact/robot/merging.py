@@ -14,17 +14,11 @@ from ..errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A robot to be merged with others.
-
-    Attributes:
-        robot: The robot.
-        prefix: Prefix of the names of its joints and frames.
-        placement: Placement of its base in the world.
-    """
+    """A robot to be merged with others."""
 
     robot: pin.RobotWrapper
-    prefix: str
-    placement: pin.SE3
+    prefix: str  # prefix of the names of its joints and frames
+    placement: pin.SE3  # placement of its base in the world
 
 
 def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:

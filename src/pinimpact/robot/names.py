@@ -178,15 +178,10 @@ def model_of(robot: Any) -> pin.Model:
 
 
 class ShapedRobot(NamedTuple):
-    """A model and its collision shapes, as in a RobotWrapper, without a Data.
-
-    Attributes:
-        model: Its model.
-        collision_model: Its shapes, if there are any.
-    """
+    """A model and its collision shapes, as in a RobotWrapper, without a Data."""
 
     model: pin.Model
-    collision_model: pin.GeometryModel | None
+    collision_model: pin.GeometryModel | None  # its shapes, if there are any
 
 
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:

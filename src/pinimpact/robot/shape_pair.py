@@ -29,17 +29,11 @@ from .solids import CarriedShape, two_shapes
 
 @dataclass(frozen=True, eq=False)
 class ShapePair:
-    """Two convex shapes that can make contact.
+    """Two convex shapes that can make contact."""
 
-    Attributes:
-        contact: The contact, with its coefficients.
-        a: The shape of the robot; impulses and forces act on it.
-        b: The other shape; normals point from it to `a`.
-    """
-
-    contact: Contact
-    a: CarriedShape
-    b: CarriedShape
+    contact: Contact  # the contact, with its coefficients
+    a: CarriedShape  # the shape of the robot; impulses and forces act on it
+    b: CarriedShape  # the other shape; normals point from it to `a`
 
     @property
     def most_points(self) -> int:
@@ -125,20 +119,12 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
 
 
 class PointContact(NamedTuple):
-    """A contact point of two shapes, as contacts of single points.
+    """A contact point of two shapes, as contacts of single points."""
 
-    Attributes:
-        touch: The features in contact.
-        instant: The contact at this instant, a point of A on a plane attached to B: its Jacobian is correct.
-        lasting: The contact as long as these features touch; None for corners of two polytopes, or a corner
-            and an edge.
-        swapped: Whether the point of `lasting` belongs to B, so that its force acts on B.
-    """
-
-    touch: Touch
-    instant: Contact
-    lasting: Contact | None
-    swapped: bool
+    touch: Touch  # the features in contact
+    instant: Contact  # the contact now, a point of A on a plane attached to B: its Jacobian is correct
+    lasting: Contact | None  # as long as these features touch; None for two corners, or a corner and an edge
+    swapped: bool  # whether the point of `lasting` belongs to B, so that its force acts on B
 
 
 def point_contact(

@@ -31,22 +31,13 @@ from .names import frame_id, model_of
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """A convex shape attached to a frame.
-
-    Attributes:
-        shape: The shape.
-        frame: Id of the frame; 0 is the world.
-        joint: The joint that moves the frame.
-        in_frame: Placement of the shape in the frame's axes.
-        in_joint: Placement of the shape in the joint's axes.
-        name: Name of the shape.
-    """
+    """A convex shape attached to a frame."""
 
     shape: ConvexShape
-    frame: int
-    joint: int
-    in_frame: pin.SE3
-    in_joint: pin.SE3
+    frame: int  # id of the frame; 0 is the world
+    joint: int  # the joint that moves the frame
+    in_frame: pin.SE3  # placement of the shape in the frame's axes
+    in_joint: pin.SE3  # placement of the shape in the joint's axes
     name: str
 
     def placed(self, data: pin.Data) -> PlacedShape:

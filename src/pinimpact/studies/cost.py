@@ -79,23 +79,14 @@ def problem_classes() -> dict[str, ImpactProblem]:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One method at one setting on one problem.
-
-    Attributes:
-        problem: Name of the problem.
-        method: Name of the method.
-        setting: Its keyword options.
-        error: The larger of the errors of v⁺ over |v⁻| and of P over |P|; NaN where the method failed.
-        seconds: Time of the compiled kernel, called from compiled code; NaN where the method has none.
-        call_seconds: Time of `solve_impact`, called from Python.
-    """
+    """One method at one setting on one problem."""
 
     problem: str
     method: str
-    setting: dict[str, Any]
-    error: float
-    seconds: float
-    call_seconds: float
+    setting: dict[str, Any]  # its keyword options
+    error: float  # the larger of the errors of v⁺ over |v⁻| and of P over |P|; NaN where the method failed
+    seconds: float  # time of the compiled kernel, called from compiled code; NaN where the method has none
+    call_seconds: float  # time of `solve_impact`, called from Python
 
     @property
     def cost(self) -> float:
@@ -109,23 +100,14 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Final state of another model, at e = 0, compared with the end of the path.
-
-    Attributes:
-        problem: Name of the problem.
-        solver: Pinocchio's solver.
-        turned: Whether slip turned, stopped or resumed on the path.
-        velocity: |v⁺ − v⁺ of the path| over |v⁻|.
-        impulse: |P − P of the path| over |P|.
-        call_seconds: Time of the call.
-    """
+    """Final state of another model, at e = 0, compared with the end of the path."""
 
     problem: str
-    solver: str
-    turned: str
-    velocity: float
-    impulse: float
-    call_seconds: float
+    solver: str  # Pinocchio's solver
+    turned: str  # whether slip turned, stopped or resumed on the path
+    velocity: float  # |v⁺ − v⁺ of the path| over |v⁻|
+    impulse: float  # |P − P of the path| over |P|
+    call_seconds: float  # time of the call
 
 
 @dataclass(frozen=True, slots=True)

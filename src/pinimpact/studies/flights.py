@@ -28,17 +28,11 @@ _SKEW = np.array(
 
 
 class Body(NamedTuple):
-    """What the flight of a body depends on.
+    """What the flight of a body depends on."""
 
-    Attributes:
-        lever: (3,) centre of mass, body axes.
-        inertia: (3, 3) about it, over mass, body axes.
-        gravity: (3,) in the world.
-    """
-
-    lever: Array
-    inertia: Array
-    gravity: Array
+    lever: Array  # (3,) centre of mass, body axes
+    inertia: Array  # (3, 3) about it, over mass, body axes
+    gravity: Array  # (3,) in the world
 
     @classmethod
     def of(cls, scene: Scene) -> Body:
@@ -52,27 +46,16 @@ class Body(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
-    """The motion of a body in flight, from poses at several times.
+    """The motion of a body in flight, from poses at several times."""
 
-    Attributes:
-        time: The instant of the state.
-        com: (3,) centre of mass.
-        velocity: (3,) of it.
-        rotation: Body to world.
-        spin: (3,) angular velocity, body axes.
-        count: Number of frames.
-        residuals: (count, 6) of position and rotation, world axes.
-        covariance: (6, 6) of velocity (world axes) and spin (body axes), over the variance of each residual.
-    """
-
-    time: float
-    com: Array
-    velocity: Array
-    rotation: Rotation
-    spin: Array
-    count: int
-    residuals: Array
-    covariance: Array
+    time: float  # the instant of the state
+    com: Array  # (3,) centre of mass
+    velocity: Array  # (3,) of it
+    rotation: Rotation  # body to world
+    spin: Array  # (3,) angular velocity, body axes
+    count: int  # number of frames
+    residuals: Array  # (count, 6) of position and rotation, world axes
+    covariance: Array  # (6, 6) of velocity (world axes) and spin (body axes), over the variance of a residual
 
     def at(self, times: Array, body: Body) -> tuple[Array, Rotation, Array, Array]:
         """Return centres of mass, rotations, velocities and spins at times (n,)."""

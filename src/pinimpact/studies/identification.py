@@ -36,29 +36,17 @@ _Batch = BatchSolution | OneStepSolution
 
 
 class _Rows(NamedTuple):
-    """N impacts in contact space; residuals are ``map P − target``.
+    """N impacts in contact space; residuals are ``map P − target``."""
 
-    Attributes:
-        delassus: (N, 3, 3) W.
-        velocity: (N, 3) before the impact.
-        scale: (N,) sizes of the terms of the velocities.
-        map: (N, m, 3).
-        target: (N, m).
-        contact: (N,) names, empty for arrays in contact space.
-        coefficients: (2, N) μ and e where they are not free.
-        law: The restitution law.
-        stiff: Joints whose stiffening is fitted, of which W and the map then depend.
-    """
-
-    delassus: Array
-    velocity: Array
-    scale: Array
-    map: Array
-    target: Array
-    contact: NDArray[Any]
-    coefficients: Array
+    delassus: Array  # (N, 3, 3) W
+    velocity: Array  # (N, 3) before the impact
+    scale: Array  # (N,) sizes of the terms of the velocities
+    map: Array  # (N, m, 3)
+    target: Array  # (N, m)
+    contact: NDArray[Any]  # (N,) names, empty for arrays in contact space
+    coefficients: Array  # (2, N) μ and e where they are not free
     law: str
-    stiff: StiffJoints | None = None
+    stiff: StiffJoints | None = None  # joints whose stiffening is fitted, of which W and the map then depend
 
     def at(self, x: Array) -> tuple[_Rows, Array, Array]:
         """Return these for stiffenings x (p,), and slopes (p, …) of W and of the map."""

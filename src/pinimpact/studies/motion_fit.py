@@ -82,11 +82,7 @@ def fit_motions(
 
 
 class _Fits(NamedTuple):
-    """What all fits to motions share; see `identify`.
-
-    Attributes:
-        root: (3, 3) square root of the inertia of the body over its mass.
-    """
+    """What all fits to motions share; see `identify`."""
 
     scene: Scene
     bounds: dict[str, tuple[float, float]]
@@ -94,7 +90,7 @@ class _Fits(NamedTuple):
     loss: str
     setters: Mapping[str, Callable[[Scene, str, float], Scene]]
     executor: Executor | None
-    root: Array
+    root: Array  # (3, 3) square root of the inertia of the body over its mass
 
     def residual(self, starts: list[Start], x: Array) -> Array:
         """Return the residuals (n, m) for parameters (p,)."""

@@ -19,15 +19,10 @@ DRAWS = 10_000
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal distribution, in the form of those of `scipy.stats`.
+    """A normal distribution, in the form of those of `scipy.stats`."""
 
-    Attributes:
-        mean: (n,) its mean.
-        root: (n, n) L with L Lᵀ its covariance.
-    """
-
-    mean: Array
-    root: Array
+    mean: Array  # (n,) its mean
+    root: Array  # (n, n) L with L Lᵀ its covariance
 
     def rvs(self, random_state: np.random.Generator) -> Array:
         """Return one draw (n,)."""
@@ -37,13 +32,9 @@ class Normal:
 
 @dataclass(frozen=True)
 class Posterior(Normal):
-    """The distribution of fitted parameters, between their bounds.
+    """The distribution of fitted parameters, between their bounds."""
 
-    Attributes:
-        fitted: Names, bounds, law and setters of the fit.
-    """
-
-    fitted: Identified
+    fitted: Identified  # names, bounds, law and setters of the fit
 
     def rvs(self, random_state: np.random.Generator) -> Array:
         """Return one draw (n,) within the bounds."""

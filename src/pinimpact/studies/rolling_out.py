@@ -85,24 +85,15 @@ def rollouts(scene: Scene, held_out: Sequence[Motion], *, restart: bool = False,
 
 
 class Start(NamedTuple):
-    """The state of a recorded flight at its first frame, and what follows.
+    """The state of a recorded flight at its first frame, and what follows."""
 
-    Attributes:
-        q, v: The state.
-        t: (n,) times of the frames from there on [s].
-        com: (n, 3) recorded centres of mass.
-        rotation: (n,) recorded rotations.
-        label: The group.
-        place: Numbers of the recording and of the frame.
-    """
-
-    q: Array
+    q: Array  # state at the first frame, with v
     v: Array
-    t: Array
-    com: Array
-    rotation: Rotation
+    t: Array  # (n,) times of the frames from there on [s]
+    com: Array  # (n, 3) recorded centres of mass
+    rotation: Rotation  # (n,) recorded rotations
     label: Any
-    place: tuple[int, int]
+    place: tuple[int, int]  # numbers of the recording and of the frame
 
 
 def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[Start]:

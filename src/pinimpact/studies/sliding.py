@@ -26,16 +26,10 @@ _NAMES = {"sliding_friction": ("sliding_friction",), "gravity": ("gravity:t1", "
 
 
 class _Slide(NamedTuple):
-    """A body slides on a face; the squares of its path are |rows x − target|² and a constant.
+    """A body slides on a face; the squares of its path are |rows x − target|² and a constant."""
 
-    Attributes:
-        rows: (4, 4) for x = g_t, μ g_n and μ.
-        target: (4,).
-        label: The group.
-    """
-
-    rows: Array
-    target: Array
+    rows: Array  # (4, 4) for x = g_t, μ g_n and μ
+    target: Array  # (4,)
     label: Any
 
 

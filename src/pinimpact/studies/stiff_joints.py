@@ -16,21 +16,13 @@ from .estimate import general_first
 
 
 class StiffJoints(NamedTuple):
-    """The matrices of N impacts, and which parameter the stiffening of a joint is.
+    """The matrices of N impacts, and which parameter the stiffening of a joint is."""
 
-    Attributes:
-        mass: (N, nv, nv) M.
-        jacobian: (N, 3, nv) J.
-        root: (N, m, nv) by which residuals of velocities are whitened.
-        owner: (nv,) index of the parameter of each velocity, −1 where it is free or locked.
-        mobility: (nv,) of the velocities without parameter: 1 free, 0 locked.
-    """
-
-    mass: Array
-    jacobian: Array
-    root: Array
-    owner: Integers
-    mobility: Array
+    mass: Array  # (N, nv, nv) M
+    jacobian: Array  # (N, 3, nv) J
+    root: Array  # (N, m, nv) by which residuals of velocities are whitened
+    owner: Integers  # (nv,) index of the parameter of each velocity, −1 where it is free or locked
+    mobility: Array  # (nv,) of the velocities without parameter: 1 free, 0 locked
 
     def matrices(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Return W (N, 3, 3), the map (N, m, 3) from P to residuals, and their slopes by parameter (p, …).

@@ -30,15 +30,10 @@ OPTIONS = (
 
 
 class Opened(NamedTuple):
-    """The result of opening a page.
+    """The result of opening a page."""
 
-    Attributes:
-        dom: The document as text, after its scripts have run.
-        console: The lines that it wrote to its console.
-    """
-
-    dom: str
-    console: list[str]
+    dom: str  # the document as text, after its scripts have run
+    console: list[str]  # the lines that it wrote to its console
 
 
 def find_browser() -> str | None:

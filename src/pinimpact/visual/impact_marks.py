@@ -33,29 +33,17 @@ class OneImpact(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMark:
-    """One contact of an impact, in contact axes unless stated otherwise.
-
-    Attributes:
-        name: Name of the contact.
-        point: (3,) contact point, in world axes [m].
-        axes: (3, 3) t₁, t₂, n as rows, in world axes.
-        friction: μ.
-        delassus: (3, 3) W, or None for several contacts, where slip has no flow of its own.
-        velocity: (m, 3) along the impact, from before it to after it [m/s].
-        impulse: (m, 3) impulse up to then [N s].
-        segments: Mode, phase, and P₃ at start and end of each.
-        clock: (m,) progress of the impact at each point, 0 to 1; None for that of its P₃.
-    """
+    """One contact of an impact, in contact axes unless stated otherwise."""
 
     name: str
-    point: Array
-    axes: Array
-    friction: float
-    delassus: Array | None
-    velocity: Array
-    impulse: Array
-    segments: Sequence[tuple[str, str, float, float]]
-    clock: Array | None = None
+    point: Array  # (3,) contact point, in world axes [m]
+    axes: Array  # (3, 3) t₁, t₂, n as rows, in world axes
+    friction: float  # μ
+    delassus: Array | None  # (3, 3) W, or None for several contacts, where slip has no flow of its own
+    velocity: Array  # (m, 3) along the impact, from before it to after it [m/s]
+    impulse: Array  # (m, 3) impulse up to then [N s]
+    segments: Sequence[tuple[str, str, float, float]]  # mode, phase, and P₃ at start and end of each
+    clock: Array | None = None  # (m,) progress of the impact at each point, 0 to 1; None for that of its P₃
 
     def as_data(self) -> dict[str, Any]:
         """Return it as data for JSON."""
@@ -82,25 +70,16 @@ class ContactMark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpactMark:
-    """An impact of a replay.
+    """An impact of a replay."""
 
-    Attributes:
-        time: Time [s].
-        source: Name of the contact, or of the joint limit.
-        law, restitution, friction: Parameters of the problem; None if its contacts differ.
-        lost: Kinetic energy dissipated [J], < 0 if a moving surface adds energy.
-        contacts: The contacts that take part, none for a joint limit.
-        slow: Whether the replay slows down for it.
-    """
-
-    time: float
-    source: str
-    law: str
+    time: float  # time [s]
+    source: str  # name of the contact, or of the joint limit
+    law: str  # of the problem, like the next two, which are None where contacts differ
     restitution: float | None
     friction: float | None
-    lost: float
-    contacts: Sequence[ContactMark]
-    slow: bool
+    lost: float  # kinetic energy dissipated [J], < 0 if a moving surface adds energy
+    contacts: Sequence[ContactMark]  # the contacts that take part, none for a joint limit
+    slow: bool  # whether the replay slows down for it
 
     @property
     def strength(self) -> float:

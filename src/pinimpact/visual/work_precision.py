@@ -17,22 +17,14 @@ ROUNDING = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Measurements of one method on one problem, and their style.
+    """Measurements of one method on one problem, and their style."""
 
-    Attributes:
-        label: In the legend.
-        seconds, errors: The points, joined by a line; those whose error is NaN are left out.
-        marker: Matplotlib's name of it.
-        color: Matplotlib's name of it; None for the next of its cycle.
-        size: Size of the markers [pt].
-    """
-
-    label: str
-    seconds: Sequence[float]
+    label: str  # in the legend
+    seconds: Sequence[float]  # the points, joined by a line; those whose error is NaN are left out
     errors: Sequence[float]
-    marker: str = "^"
-    color: str | None = None
-    size: float = 4.0
+    marker: str = "^"  # Matplotlib's name of it
+    color: str | None = None  # Matplotlib's name of it; None for the next of its cycle
+    size: float = 4.0  # size of the markers [pt]
 
 
 def draw_work_precision(panels: Mapping[str, Sequence[Curve]], path: str | Path) -> None:
