@@ -137,16 +137,11 @@ def fill_derivative(z1, z2, z3, mu, coupled, d):
 
 @external
 def fill_system(problem, profile, r, u, before, coupled, system):
-    """Fill the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
+    """Fill system (m, m) with the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
 
-    Args:
-        problem: The `VelocityProblem`.
-        profile: First columns (m,) and last ones (m,), see `find_profile`.
-        r: (n,) of (16.3).
-        u: (n,) velocities.
-        before: (n,) f.
-        coupled: Whether friction follows normal impulses; else the matrix is symmetric and definite.
-        system: (m, m) takes the matrix.
+    The profile has first and last columns (m,), see `find_profile`; r (n,) is that of (16.3), u (n,) are
+    velocities, before (n,) is f. Unless friction is `coupled` to normal impulses the matrix is symmetric and
+    definite.
     """
     mass, _, start, values, columns, counts, _, mu, lower, upper, _ = problem
     first, last = profile
@@ -212,16 +207,9 @@ def balance(problem, r, before, now):
 def length_of_step(problem, r, before, now, du, slope, curvature):
     """Return the length of a step, at most one: where its residual is orthogonal to it, zero if nowhere.
 
-    Where friction does not follow normal impulses this is the minimum of a convex function.
-
-    Args:
-        problem: The `VelocityProblem`.
-        r: (n,) of (16.3).
-        before: (n,) f.
-        now: The `Iterate` at its start; its f takes the impulses at the end.
-        du: (n,) change of u over the whole step d.
-        slope: dᵀM w at its start.
-        curvature: dᵀM d.
+    Where friction does not follow normal impulses this is the minimum of a convex function. With r (n,) of
+    (16.3), before (n,) f, the `Iterate` now, whose f takes the impulses at the end, the change du (n,) of u
+    over the whole step d, slope dᵀM w and curvature dᵀM d.
     """
     mu, lower, upper, u, f = problem.friction, problem.lower, problem.upper, now.u, now.f
     trial = np.empty(len(u))
@@ -349,19 +337,13 @@ def residual_of(problem, diagonal, x, now):
 @declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, result=float)
 @external
 def solve_velocities(problem, part, accuracy, begin, w, x):
-    """Fill x with impulses that satisfy the law.
+    """Fill x (n,) with impulses that satisfy the law, and w (m,) with the change of velocities by them.
 
-    Args:
-        problem: The `VelocityProblem`.
-        part: The largest r, relative to the largest of W, see `tolerances.SOFTEST`.
-        accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `tolerances.SETTLED`.
-        begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
-            start for a nearly equal problem.
-        w: (m,) takes the change by the impulses.
-        x: (n,) takes the impulses; of several that satisfy the law nearly the limit of small compliances.
-
-    Returns:
-        The residual of the law, relative to u_free; infinite if the iteration has diverged.
+    Of several solutions that satisfy it nearly it is the limit of small compliances. `part` is the largest r,
+    relative to the largest of W (`tolerances.SOFTEST`), `accuracy` the part of u_free by which f⁺ − f may
+    change velocities at the end (`tolerances.SETTLED`). begin (m,) is an initial change of the velocities,
+    and takes that of the first iteration, the best start for a nearly equal problem. Returns the residual of
+    the law, relative to u_free; infinite if the iteration has diverged.
     """
     free = problem.free
     n, m, size = len(free), len(w), 0.0

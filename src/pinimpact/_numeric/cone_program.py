@@ -285,17 +285,8 @@ def _fill_system(P, G, lines, sizes, beta, v, scaled, lower):
 def _fill_directions(lines, sizes, scaling, system, residuals, gap, room, ds, dz, dx):
     """Fill dx, and ds and dz in scaled axes, with Mehrotra's corrector; return 1/(the longest step).
 
-    Args:
-        lines: See `cone_program`,
-        sizes: likewise.
-        scaling: β, v and λ of `scaling`.
-        system: W⁻¹G and the factor of `_fill_system`.
-        residuals: rx and rz of `_residuals`.
-        gap: sᵀz.
-        room: (3, m) scratch.
-        ds: (m,) s in scaled axes.
-        dz: (m,) z likewise.
-        dx: (n,) x.
+    Given β, v and λ of `scaling`, the system W⁻¹G with the factor of `_fill_system`, the residuals rx and rz,
+    the gap sᵀz and room (3, m); ds and dz are (m,), dx (n,).
     """
     beta, v, lam = scaling
     scaled, lower = system
@@ -343,23 +334,12 @@ def _add_scaled(lines, sizes, beta, v, step, direction, inverse, work, x):
 @declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
 @external
 def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
-    """Fill x, s and z with the solution, starting from x = 0.
+    """Fill x (n,), s = h − G x (m,) and multipliers z (m,), P x + Gᵀz + c = 0, starting from x = 0.
 
-    Args:
-        P: (n, n) positive semidefinite.
-        c: (n,).
-        G: (m, n).
-        h: (m,).
-        lines: Number of half-lines.
-        sizes: (k,) sizes of the second-order cones.
-        tolerance: Of the gap sᵀz, and of the equations as far as rounding allows, absolute: scale the
-            problem to order one.
-        x: (n,) takes the solution.
-        s: (m,) takes h − G x.
-        z: (m,) takes the multipliers, with P x + Gᵀz + c = 0.
-
-    Returns:
-        The larger of the gap and the residual of the equations; above the tolerance if the iteration stopped.
+    P (n, n) is positive semidefinite. The cone consists of a number of half-lines (`lines`) and second-order
+    cones of `sizes` (k,). The tolerance of the gap sᵀz, and of the equations as far as rounding allows, is
+    absolute: scale the problem to order one. Returns the larger of the gap and the residual of the equations;
+    above the tolerance if the iteration stopped.
     """
     m, n = G.shape
     beta, v, lam = ones(len(sizes)), np.zeros(m), np.empty(m)

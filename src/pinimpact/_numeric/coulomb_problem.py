@@ -121,19 +121,10 @@ def _fill_factor(w, penalty, factor):
 
 @inlined
 def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
-    """Take a step of the method of multipliers.
+    """Take a step of the method of multipliers; return the residuals of f = y and of u.
 
-    Args:
-        scaled: The `Scaled` problem.
-        penalty: Its penalty.
-        factor: See `_fill_factor`.
-        f: (3 nc + ns,) all forces.
-        y: (3 nc + ns,) those in the cones.
-        z: (3 nc + ns,) multipliers.
-        shift: (nc,) De Saxcé's s.
-
-    Returns:
-        The residual of f = y, and that of u.
+    f and those in the cones, y, and multipliers z are (3 nc + ns,), De Saxcé's shift s (nc,); for the factor
+    see `_fill_factor`.
     """
     nc, mu, held, directions = len(shift), scaled.mu, scaled.held, scaled.directions
     apart = moved = 0.0
@@ -166,21 +157,13 @@ def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
 @declared(*SYSTEM, result=float)
 @external
 def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
-    """Fill x with forces that satisfy the law, starting from its values.
+    """Fill x (3 nc + ns,) with forces that satisfy the law, starting from its values, or zero if better.
 
-    Args:
-        delassus: (3 nc + ns, 3 nc + ns) W of nc contacts (t₁, t₂, n), then of ns scalar rows.
-        free: (3 nc + ns,) u without forces.
-        velocity: (nc, 2) of sliding contacts, whose friction is along it; zero for contacts that can stick.
-        mu: (nc,) coefficients of friction.
-        least: (nc,) l ≥ 0, least normal forces.
-        held: (nc,) contacts without bounds.
-        lower: (ns,) lower bounds of scalar forces, infinite for none.
-        upper: (ns,) upper bounds of scalar forces, likewise.
-        x: (3 nc + ns,) the start, unless zero forces have a smaller residual; takes the forces.
-
-    Returns:
-        The residual of the law, relative to u_free; more than `tolerances.USABLE` if no forces are found.
+    W has rows of nc contacts (t₁, t₂, n), then ns scalar ones; `free` is u without forces. Contacts with a
+    velocity (nc, 2) slide, with friction along it; others can stick. mu (nc,) are coefficients of friction,
+    least (nc,) l ≥ 0 least normal forces, held (nc,) contacts without bounds, lower and upper (ns,) bounds of
+    scalar forces, which may be infinite. Returns the residual of the law, relative to u_free; more than
+    `tolerances.USABLE` if no forces are found.
     """
     nc, size = len(mu), len(free)
     system = delassus, free, velocity, mu, least, held, lower, upper
@@ -313,13 +296,8 @@ def residual(delassus, free, velocity, mu, least, held, lower, upper, x, acceler
 def scale(delassus, free, contacts, d, scale_a, scale_f):
     """Fill scales, contact by contact so that cones keep their shape; return their unit, zero if none.
 
-    Args:
-        delassus: (m, m) of the rows, three for each contact first.
-        free: (m,) accelerations without forces.
-        contacts: Number of contacts.
-        d: (m,) takes the factors that make the diagonal one.
-        scale_a: (m,) takes factors of accelerations.
-        scale_f: (m,) takes units of forces.
+    Of W (m, m), whose first rows are three for each contact, and accelerations without forces (m,). d (m,)
+    takes the factors that make the diagonal one, scale_a those of accelerations, scale_f units of forces.
     """
     size = len(free)
     largest = unit = 0.0

@@ -48,17 +48,11 @@ def columns_times(r, k, first, column, out):
 
 @inlined
 def decompose(matrix, rights, rank_tolerance, order, factor):
-    """Replace a matrix (m, n) by its complete orthogonal decomposition, and each of rights (k, m) by Qᵀ b.
+    """Replace A (m, n) by its complete orthogonal decomposition, each b of `rights` (k, m) by Qᵀb.
 
-    Args:
-        matrix: A; takes T above the diagonal of the rank, and beside it the vectors of Z.
-        rights: Right-hand sides b.
-        rank_tolerance: Part of the largest pivot below which a pivot is taken as zero.
-        order: (n,) takes the columns Π.
-        factor: (min(m, n),) takes the other data of Z.
-
-    Returns:
-        The rank.
+    A takes T above the diagonal of the rank, which is returned, and beside it the vectors of Z, with other
+    data in factor (min(m, n),); order (n,) takes the columns Π. Pivots below `rank_tolerance` of the largest
+    are zero.
     """
     m, n = matrix.shape
     r = matrix
@@ -166,18 +160,10 @@ def least_norms(matrix, rights, rank_tolerance, found, null):
 @declared(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
 @external
 def least_norm(matrix, right, rank_tolerance, x, null):
-    """Fill x (n,) with the least-squares solution of matrix x = right that has the least norm.
+    """Fill x (n,) with the solution of least norm of A x = b, A (m, n), in the sense of least squares.
 
-    Args:
-        matrix: (m, n) A, not changed.
-        right: (m,) b.
-        rank_tolerance: Part of the largest pivot below which a pivot is taken as zero.
-        x: (n,) takes the solution.
-        null: (k, n) takes, in its first n − rank rows as far as it has them, an orthonormal basis of the null
-            space of A.
-
-    Returns:
-        The rank.
+    Returns the rank: pivots below `rank_tolerance` of the largest are zero. null (k, n) takes, in its first n
+    − rank rows as far as it has them, an orthonormal basis of the null space of A.
     """
     rights, found = np.empty((1, len(right))), np.empty((1, len(x)))
     assign(rights[0], right)

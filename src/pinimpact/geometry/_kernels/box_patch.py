@@ -81,18 +81,9 @@ def facing_axis(a, n1, n2, n3):
 def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
     """Fill the corners of a face of A within the sides of a face of B; return how many there are.
 
-    A corner is given along the two other axes of B, from its centre, and as the height over the face.
-
-    Args:
-        a: (12,) placement of A.
-        half_a: (3,) of it.
-        axis: Of the face of A.
-        side: ±1, on which side of A the face is.
-        b: (12,) placement of B.
-        half_b: (3,) of it.
-        face: The axis of the face of B.
-        up: ±1 likewise.
-        polygon: (2 `MOST`, 3).
+    A corner is given along the two other axes of B, from its centre, and as the height over the face. The
+    faces are those of A's axis and of B's axis `face`, on the sides ±1 `side` and `up`; polygon is (2 `MOST`,
+    3).
     """
     p, q, k, o = (axis + 1) % 3, (axis + 2) % 3, (face + 1) % 3, (face + 2) % 3
     other, count = np.empty((2 * MOST, 3)), 4
@@ -132,12 +123,8 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
 def nearest_on_edges(along_a, half_a, along_b, half_b, cosine):
     """Return the closest points of two segments, from the middle of each along its direction.
 
-    Args:
-        along_a: From the middle of the second to that of the first, along the first.
-        half_a: Half the length of the first.
-        along_b: As `along_a`, along the second.
-        half_b: Half the length of the second.
-        cosine: Of the angle between them.
+    `along_a` and `along_b` are from the middle of the second to that of the first, along each; half_a and
+    half_b half their lengths; cosine that of the angle between them.
     """
     determinant = 1.0 - cosine * cosine
     if determinant > 0.0:
@@ -165,17 +152,8 @@ def edge_middle(a, half, i, first, second):
 def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others):
     """Write the closest points of an edge of A and one of B to the first rows; return their distance.
 
-    Args:
-        a, half_a: The box A.
-        i: The axis along the edge.
-        p: ±1, the side of the next axis.
-        q: ±1, the side of the one after that.
-        b, half_b: The box B.
-        j: As i, p, q for B.
-        k: Likewise.
-        o: Likewise.
-        points: (k, 3) of A.
-        others: (k, 3) of B.
+    The edge of A is along its axis i, on the sides p and q, ±1, of the two axes after it, that of B likewise
+    j, k, o; points and others (k, 3) are of A and of B.
     """
     x1, x2, x3 = edge_middle(a, half_a, i, p, q)
     y1, y2, y3 = edge_middle(b, half_b, j, k, o)
@@ -217,16 +195,8 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
 def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
     """Fill the contact patch of two boxes within a distance; return the number of points, 0 if apart.
 
-    Args:
-        a: (12,) placement of A.
-        half_a: (3,) of it.
-        b: (12,) placement of B.
-        half_b: (3,) of it.
-        within: The distance [m].
-        normal: (3,) from B to A.
-        points: (`MOST`, 3) of A [m].
-        others: (`MOST`, 3) of B, opposite to them.
-        gaps: (`MOST`,) along the normal, negative where they overlap.
+    Points (`MOST`, 3) [m] are of A, others opposite to them of B; gaps (`MOST`,) are along the normal (3,),
+    from B to A, negative where they overlap.
     """
     value, n1, n2, n3, kind = separate(a, half_a, b, half_b)
     if value > within:

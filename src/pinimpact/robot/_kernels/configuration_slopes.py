@@ -34,15 +34,9 @@ and whether it moves the tip and the surface, 1 or 0."""
 def fill_place(R, S, k, axes, turns, J, joint, parent, tip, base, at, shifts):
     """Fill where a contact is, and how that moves with q. (D19)
 
-    Args:
-        R, S: (12,) placements of the bodies in whose axes its constants are, of the tip and of the surface.
-        k: (CONSTANTS,) of the contact.
-        axes: (9,) t₁, t₂, n in world axes.
-        turns: Whether vectors have components along the axes.
-        J, joint, parent: As in `fill_motions`.
-        tip, base: The joints of the tip and of the surface.
-        at: (PLACE,).
-        shifts: (nv, SHIFT), or without rows.
+    R and S (12,) are placements of the bodies of tip and surface, in whose axes the constants k are; axes
+    (9,) t₁, t₂, n in the world. With `turns` vectors have components along the axes. J, joint, parent as in
+    `fill_motions`; tip and base are the joints. `at` is (PLACE,), shifts (nv, SHIFT) or without rows.
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     _, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
@@ -94,12 +88,8 @@ def _turned_by(J, k, f1, f2, f3, n1, n2, n3):
 def fill_motions(J, joint, parent, x, out):
     """Fill the motions (joints, 6) of all joints for the velocities x (nv,); the first is the world's.
 
-    Args:
-        J: (6, nv) motions.
-        joint: (nv,) the joint of each velocity.
-        parent: (joints,) the joint that each stands on; the first is the world.
-        x: (nv,).
-        out: (joints, 6).
+    J (6, nv) are the motions of the velocities, joint (nv,) their joints, parent (joints,) those they stand
+    on.
     """
     out[0, :] = 0.0
     k = 0
@@ -165,14 +155,11 @@ def _carries(parent, i, j):
 
 @inlined
 def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
-    """Fill ∂(M x)/∂q. (D18)
+    """Fill out (nv, nv) with ∂(M x)/∂q. (D18)
 
-    Args:
-        J, joint, parent: As in `fill_motions`.
-        before: (nv,) the next velocity towards the root, or −1.
-        inertia: (joints, 10) of all that each carries: mass, first moment, xx, xy, yy, xz, yz, zz.
-        motions, momenta: (joints, 6) for x.
-        out: (nv, nv).
+    J, joint, parent as in `fill_motions`; before (nv,) is the next velocity towards the root, or −1; inertia
+    (joints, 10) of all that each carries is mass, first moment, xx, xy, yy, xz, yz, zz; motions and momenta
+    (joints, 6) are those of x.
     """
     out[:, :] = 0.0
     bends = np.empty((len(joint), 6))
@@ -204,15 +191,9 @@ def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
 @declared(*(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS, bool, FLOAT_ROWS))
 @jit
 def velocity_slopes(J, joint, parent, tip, base, at, shifts, motions, relative, out):
-    """Fill ∂(J x)/∂q (3, nv), or that of J x less what the surface does beyond its carrier. (D19)
+    """Fill out (3, nv) with ∂(J x)/∂q, if `relative` less what the surface does beyond its carrier. (D19)
 
-    Args:
-        J, joint, parent: As in `fill_motions`.
-        tip, base: The joints of the tip and of the surface.
-        at, shifts: Of the contact, see `fill_place`.
-        motions: (joints, 6) for x.
-        relative: Whether the surface's own velocity is taken off.
-        out: (3, nv).
+    J, joint, parent as in `fill_motions`; tip, base, at, shifts as in `fill_place`; motions (joints, 6) of x.
     """
     moving, carrying = motions[tip], motions[base]
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]
@@ -262,12 +243,9 @@ def velocity_slopes(J, joint, parent, tip, base, at, shifts, motions, relative, 
 @declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, FLOATS, FLOAT_ROWS, float, float, float, FLOAT_ROWS)
 @jit
 def force_slopes(J, joint, parent, at, shifts, f1, f2, f3, out):
-    """Add ∂(JᵀP)/∂q (nv, nv) for an impulse that turns with the axes, or stays in the world. (D20)
+    """Add ∂(JᵀP)/∂q (nv, nv) for an impulse f in the world that turns with the axes, or does not. (D20)
 
-    Args:
-        J, joint, parent, at, shifts: As in `velocity_slopes`.
-        f1, f2, f3: The impulse in world axes.
-        out: (nv, nv).
+    Other arguments as in `velocity_slopes`.
     """
     nv = len(joint)
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]

@@ -188,13 +188,10 @@ SCREW = 8.0 * 2.0**-52
 
 @inlined
 def fill_by_axes(J, signs, p1, p2, p3, axes, out):
-    """Fill the contact Jacobian as `fill_jacobian` does, each row to rounding of its own size. (6.8)
+    """Fill the contact Jacobian, as `fill_jacobian` in axes (9,), each row to rounding of its own size. (6.8)
 
     An axis that is at right angles to how a point moves, as the normal is where an arm lies along the floor,
     is nearly parallel to the joint's; how nearly is the same for all joints with that axis.
-
-    Args:
-        axes: (9,) a, b, n.
     """
     reach = math.sqrt(p1 * p1 + p2 * p2 + p3 * p3)
     for j in range(len(signs)):
@@ -223,15 +220,7 @@ def fill_by_axes(J, signs, p1, p2, p3, axes, out):
 @declared(FLOAT_COLUMNS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def jacobian_by_axes(columns, signs, point, axes, out):
-    """Call `fill_by_axes` from Python.
-
-    Args:
-        columns: (6, nv) as in `fill_jacobian`.
-        signs: (nv,) as in `fill_jacobian`.
-        point: (3,) the contact point in world axes.
-        axes: (9,) t₁, t₂, n.
-        out: (3, nv) takes J.
-    """
+    """Call `fill_by_axes` from Python, with the contact point (3,) and its axes (9,), in the world."""
     fill_by_axes(columns, signs, point[0], point[1], point[2], axes, out)
 
 
@@ -240,10 +229,8 @@ def jacobian_by_axes(columns, signs, point, axes, out):
 def locate(frame, carrier, constants):
     """Return the gap, n (3) and the contact point (3), in world axes.
 
-    Args:
-        frame: (4, 4) placement of the contact's frame.
-        carrier: (4, 4) placement of the frame that carries the surface, or of the world.
-        constants: Of the contact, in these frames' axes.
+    For placements (4, 4) of the contact's frame and of the surface's carrier, in whose axes the constants
+    are.
     """
     return at_contact(pose(frame), pose(carrier), constants)
 
@@ -252,9 +239,7 @@ def locate(frame, carrier, constants):
 def contact_rows(R, S, columns, signs, constants, on_surface, out):
     """Fill the contact Jacobian J, as `jacobian` does, for placements of the frame and of the carrier.
 
-    Returns:
-        t₁, t₂, n (9), the velocity of the surface relative to its carrier (3), in contact axes, and the point
-            (3).
+    Returns t₁, t₂, n (9), the surface's velocity relative to its carrier (3) in these, and the point (3).
     """
     gap, n1, n2, n3, p1, p2, p3 = at_contact(R, S, constants)
     if on_surface:
@@ -275,20 +260,12 @@ def contact_rows(R, S, columns, signs, constants, on_surface, out):
 @declared(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, bool, FLOAT_ROWS)
 @jit
 def jacobian(frame, carrier, columns, signs, constants, on_surface, out):
-    """Fill the contact Jacobian J.
+    """Fill the contact Jacobian J (3, nv).
 
-    Args:
-        frame: (4, 4) placement of the contact's frame.
-        carrier: (4, 4) placement of the frame to which the surface is attached, or of the world.
-        columns: (6, nv) as in `fill_jacobian`.
-        signs: (nv,) as in `fill_jacobian`.
-        constants: Constants of the contact, in these frames' axes.
-        on_surface: Whether the point is the one of the surface below the tip, at the end of the gap: then
-            points of a body above one plane have tangential velocities of rank three, whatever their gaps.
-        out: (3, nv) takes J.
-
-    Returns:
-        t₁, t₂, n (9) in world axes, and the velocity of the surface relative to its carrier (3), in contact
-            axes.
+    Placements of the contact's frame and of the surface's carrier are (4, 4), the constants in their axes;
+    columns (6, nv) and signs (nv,) as in `fill_jacobian`. With `on_surface` the point is the one of the
+    surface below the tip, at the end of the gap: then points of a body above one plane have tangential
+    velocities of rank three, whatever their gaps. Returns t₁, t₂, n (9) in world axes, and the velocity of
+    the surface relative to its carrier (3), in contact axes.
     """
     return contact_rows(pose(frame), pose(carrier), columns, signs, constants, on_surface, out)[:12]

@@ -32,12 +32,10 @@ from .placement import cross, direction, place, rotate, rotate_back
 @declared(*5 * [FLOATS])
 @external
 def gap_and_rate(R, V, S, U, k):
-    """Return the gap [m] and its rate [m/s].
+    """Return the gap [m] and its rate [m/s], for constants k in the axes of the joints of tip and surface.
 
-    Args:
-        R, V: Placement of the tip's joint, and its velocity in its own axes at its own origin.
-        S, U: Those of the joint that carries the surface.
-        k: Constants of the contact, in the axes of the two joints.
+    R and V are placement and velocity of the tip's joint, the latter in its axes at its origin; S and U the
+    other's.
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
@@ -57,19 +55,14 @@ def bounds(J, signs, group, R, k, peak, h, reach):
     """Return the numbers that bound the gap's second derivative over a step of length h, see `gap_bounds`.
 
     For the tip's centre relative to the surface's carrier these are the largest acceleration, its largest
-    variation and the largest speed. With a reach they hold for all points of the tip's body within it of the
-    centre.
+    variation and the largest speed. With a reach [m] they hold for all points of the tip's body within it of
+    the centre.
 
-    With J_k the column of velocity k for the tip's centre, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω
-    × J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
-    factor ω. The |J_k| are the present ones, plus the distance that the point can move.
-
-    Args:
-        J, signs, R, k: As in `contact_motion`.
-        group: (nv,) number of the joint of each velocity.
-        peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and their largest changes from its start.
-        h: Length of the step [s].
-        reach: Radius of the points about the centre [m].
+    With J_k the column of velocity k for the tip's centre, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω ×
+    J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
+    factor ω. The |J_k| are the present ones, plus the distance that the point can move. group (nv,) is the
+    joint of each velocity; peak (4, nv) the largest |ξ̇| and |v̇| of the step, and their largest changes from
+    its start.
     """
     n = len(signs)
     c1, c2, c3 = place(R, k, TIP)
@@ -179,23 +172,13 @@ def turning_bound(J, signs, R, k, peak, h):
 @declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @external
 def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, turning, surface):
-    """Fill the kinematics of a closed contact, in axes t₁, t₂, n carried by the surface, see `carried_axes`.
+    """Fill the kinematics of a closed contact in axes t₁, t₂, n carried by the surface; return the gap [m].
 
-    Args:
-        R, V, A: Placement of the tip's joint, its velocity and acceleration in world axes at the world's
-            origin.
-        S, U, B: Those of the joint to which the surface is attached.
-        k: Constants of the contact, in the axes of the two joints.
-        J: (6, nv) joint Jacobian in world axes at the world's origin.
-        signs: (nv,) 1 for velocities that move the tip only, −1 the surface only, 0 neither or both.
-        jacobian: (3, nv) takes the contact Jacobian.
-        velocity: (3,) takes the contact velocity v.
-        acceleration: (3,) takes dv/dt for the accelerations given.
-        turning: (3,) takes the part of it that is added in axes that stand still.
-        surface: (3,) takes the velocity of the surface relative to its carrier.
-
-    Returns:
-        The gap [m].
+    R, V, A are placement, velocity and acceleration of the tip's joint, in world axes at the world's origin,
+    S, U, B those of the surface's, k the constants in the axes of the two, J (6, nv) the joint Jacobian
+    likewise; signs as in `contact_kinematics.fill_jacobian`. jacobian (3, nv) takes the contact Jacobian,
+    velocity v, acceleration dv/dt for the accelerations given, turning its part that is added in axes that
+    stand still, surface the velocity of the surface relative to its carrier. See `carried_axes`.
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
@@ -245,11 +228,9 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
 def rates_at_contact(R, V, S, U, k, at):
     """Return ṅ in the carrier's axes, without its turning (3), and ṅ and ṗ in the world's (3 + 3).
 
-    Args:
-        R, V: Placement of the tip's body, and its velocity in world axes at the world's origin.
-        S, U: Those of the surface's carrier.
-        k: Constants of the contact, in the axes of the two.
-        at: c, c from the surface's point, n in the carrier's axes and n in the world's (12), see `relative`.
+    R, V are placement and velocity of the tip's body, in world axes at the world's origin, S, U those of the
+    carrier, k the constants in their axes; at is c, c from the surface's point, n in the carrier's axes and
+    in the world's (12), see `relative`.
     """
     c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3 = at
     r = k[RADIUS]
@@ -281,17 +262,10 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
     """Return the rate (3) of the normal of two edges, and how fast the nearest point goes along the tip's.
 
     With u and e the edges, N = u × e and n = N/|N|: ṅ = (Ṅ − n n·Ṅ)/|N|, Ṅ = u̇ × e. The nearest point x of
-    the tip's edge stays in the plane of e and n, (n × e)·x = 0, and so moves along u at −((ṅ × e)·x + (n ×
-    e)·v)/((n × e)·u). All but w in the axes of the surface's carrier.
-
-    Args:
-        R: Placement of the tip's joint.
-        S: That of the joint that carries the surface.
-        k: Constants of the contact.
-        w1, w2, w3: Angular velocity of the tip against the carrier, in world axes.
-        x1, x2, x3: The nearest point, from the surface's.
-        v1, v2, v3: Velocity of the tip's material there against the carrier.
-        n1, n2, n3: The normal.
+    the tip's edge, from the surface's, stays in the plane of e and n, (n × e)·x = 0, and so moves along u at
+    −((ṅ × e)·x + (n × e)·v)/((n × e)·u), v the velocity of the tip's material there. R and S are placements
+    of the joints; w is the angular velocity of the tip in world axes, all other vectors in the axes of the
+    surface's carrier, and against it.
     """
     u1, u2, u3 = edge_axis(R, S, k)
     e1, e2, e3 = k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2]

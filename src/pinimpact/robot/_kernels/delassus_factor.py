@@ -45,14 +45,9 @@ def _normalize(row):
 def delassus_factor(lower, parents, columns, signs, p1, p2, p3, y, out):
     """Fill `out` with the `FACTOR` numbers of a factor, see `contact_space.inputs`.
 
-    Args:
-        lower: (nv, nv) L, M = LᵀL.
-        parents: (nv,) the next velocity on the way to the root, or −1.
-        columns: (6, nv) as in `contact_kinematics.jacobian`.
-        signs: (nv,) 0 for velocities that are none of the contact's.
-        p1, p2, p3: The contact point in world axes.
-        y: (3, nv) Y.
-        out: (FACTOR,).
+    lower (nv, nv) is L, M = LᵀL; parents (nv,) the next velocities towards the root, or −1; columns (6, nv)
+    as in `contact_kinematics.jacobian`; signs (nv,) 0 for velocities that are none of the contact's; p the
+    contact point in world axes; y (3, nv) Y.
     """
     n = len(signs)
     sizes, rows = np.zeros(n), np.empty((3, n))

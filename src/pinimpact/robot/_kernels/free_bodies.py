@@ -44,11 +44,8 @@ def set_motion(R, a, b, c, d, e, f, out):
 def move_bodies(joints, bodies, q, v, placements, velocities):
     """Fill placements (nj, 12) and velocities (nj, 6) of bodies, the latter in their own axes.
 
-    Args:
-        joints: (n, 3) the joint of each body, and where its coordinates and its velocities begin.
-        bodies: (n, `BODY`) see `MASS`.
-        q, v: State of the robot.
-        placements, velocities: To be filled.
+    joints (n, 3) has the joint of each body, and where its coordinates and its velocities begin; bodies see
+    `MASS`.
     """
     for k in range(len(joints)):
         j = joints[k, 0]
@@ -65,17 +62,10 @@ def move_bodies(joints, bodies, q, v, placements, velocities):
 def accelerate_bodies(
     joints, bodies, gravity, q, v, tau, acceleration, placements, velocities, accelerations, jacobian
 ):
-    """Fill v̇ of bodies and their kinematics, as `RobotDynamics.forward_dynamics` does.
+    """Fill v̇ of bodies and their kinematics, as `RobotDynamics.forward_dynamics` does; see `move_bodies`.
 
-    Args:
-        joints, bodies: As in `move_bodies`.
-        gravity: (3,) [m/s²].
-        q, v, tau: State of the robot, generalized forces.
-        acceleration: (nv,) takes v̇.
-        placements: (nj, 12) takes placements.
-        velocities: (nj, 6) takes velocities, in world axes at the world's origin.
-        accelerations: (nj, 6) takes accelerations likewise, less gravity's.
-        jacobian: (6, nv) takes the joint Jacobian likewise.
+    Placements are (nj, 12), velocities, accelerations less gravity's (nj, 6) and the joint Jacobian (6, nv)
+    in world axes at the world's origin; gravity (3,) [m/s²].
     """
     for i in range(len(joints)):
         j, a, k = joints[i, 0], joints[i, 2], bodies[i]

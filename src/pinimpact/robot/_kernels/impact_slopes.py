@@ -48,15 +48,10 @@ def impact_slopes(
 ):  # fmt: skip
     """Fill how the data of an impact in contact space change with q, and its forces. (D17)
 
-    Args:
-        J, joint, parent, before, inertia: As in `mass_slopes`.
-        tip, base, at, shifts: As in `velocity_slopes`.
-        y: (3, nv) q̇ per unit impulse along each contact axis.
-        v: (nv,) before the impact.
-        impulse: (3,) P in contact axes.
-        data: (9, nv) receives ∂v°/∂q and the slopes of w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃.
-        forces: (nv, nv) receives ∂(JᵀP)/∂q − D(Δ).
-        turned: (3, nv) receives how P, fixed in the contact axes, changes in the world.
+    J to inertia as in `mass_slopes`, tip to shifts as in `velocity_slopes`; y (3, nv) is q̇ per unit impulse
+    along each contact axis, v (nv,) the velocity before, impulse (3,) P in contact axes. data (9, nv) takes
+    ∂v°/∂q and the slopes of w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, forces (nv, nv) ∂(JᵀP)/∂q − D(Δ), turned (3, nv)
+    how P, fixed in the contact axes, changes in the world.
     """
     nv, joints = len(v), len(parent)
     motions, momenta = np.empty((4, joints, 6)), np.empty((4, joints, 6))
@@ -106,17 +101,12 @@ def by(slope, change):
 )
 @jit
 def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, responses, turned, out):
-    """Fill the derivatives of an impact from those in contact space. (D17)
+    """Fill out (nv + 3, 2 nv + MORE) with the derivatives of an impact, from those in contact space. (D17)
 
-    Args:
-        at, y, v, impulse, data, turned: As in `impact_slopes`.
-        carrier: (12,) placement of the body whose axes the surface's velocities are given in.
-        jacobian: (3, nv) J.
-        slopes: (3, SLOPES) of P in contact axes.
-        slope: de/d(approach speed).
-        by_q: Whether columns of q are filled; without, `data`, `responses` and `turned` are not read.
-        responses: (nv, nv) M⁻¹ times the forces of `impact_slopes`.
-        out: (nv + 3, 2 nv + MORE), see `SURFACE` and its neighbours.
+    carrier (12,) is the placement of the body in whose axes the surface's velocities are; slopes (3, SLOPES)
+    are those of P in contact axes, slope de/d(approach speed), responses (nv, nv) M⁻¹ times the forces of
+    `impact_slopes`, for the rest see there. Without `by_q` columns of q are not filled, and data, responses
+    and turned not read. For the columns see `SURFACE` and its neighbours.
     """
     nv = len(v)
     first, more = 0 if by_q else nv, 2 * nv
@@ -176,17 +166,9 @@ def _dynamic_parameters(bodies, out):
 @declared(RobotWorkspace, FLOATS, FLOATS, float, float, bool, FLOAT_ROWS)
 @jit
 def robot_slopes(work, q, v, e, slope, by_q, out):
-    """Differentiate the impact of one contact.
+    """Differentiate the impact of one contact; return the status as `robot_impact`, and flags of `Boundary`.
 
-    Args:
-        work: `RobotWorkspace`.
-        q: (nq,).
-        v: (nv,) pre-impact velocity.
-        e: Coefficient of restitution.
-        slope, by_q, out: As in `assemble`.
-
-    Returns:
-        Status as in `robot_impact`, and flags of `Boundary`.
+    v (nv,) is the velocity before the impact, e the coefficient of restitution; the rest as in `assemble`.
     """
     bodies, columns, mass, frame, carrier, room = parts(work, work.scratch)
     if not evaluate(work, q, bodies, columns, mass, frame, carrier):

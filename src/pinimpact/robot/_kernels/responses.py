@@ -17,15 +17,9 @@ from .tree import factor, solve, solve_transposed
 def half_solve(mass, parents, mobility, lower, rows):
     """Fill `lower` with L, N = LᵀL, and replace each row x (nv,) of `rows` (m, nv) by L⁻ᵀ D x. (1.7)
 
-    Args:
-        mass: (nv, nv) M.
-        parents: (nv,) the next velocity towards the root, or −1.
-        mobility: (nv,) the diagonal of D: 1 for free velocities, 0 for locked ones.
-        lower: (nv, nv) takes L.
-        rows: Rows of Jacobians.
-
-    Returns:
-        −1, or the first velocity whose inertia is not positive.
+    mass (nv, nv) is M, parents (nv,) the next velocities towards the root, or −1, mobility (nv,) the diagonal
+    of D, 1 for free velocities and 0 for locked ones. Returns −1, or the first velocity whose inertia is not
+    positive.
     """
     n = len(mobility)
     scaled = np.empty((n, n))
@@ -63,21 +57,12 @@ def respond(lower, parents, mobility, y, delassus, response):
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
 @jit
 def taking_part(delassus, friction, rates, least, first, found):
-    """Mark which of n contacts take part in an impact at `first`: 1 in `found` (n,).
+    """Mark which of n contacts take part in an impact at `first`: 1 in found (n,).
 
     These are contacts that approach and are coupled to another of them, and those that an impulse of another
-    can press. Every impulse within the friction cones lifts the others, so they have no impulse.
-
-    Args:
-        delassus: (3n, 3n) W.
-        friction: (n,) μ.
-        rates: (n,) normal velocities.
-        least: Speed of approach that is taken as zero.
-        first: One of them.
-        found: Takes the result.
-
-    Returns:
-        Whether any of these is coupled to another contact.
+    can press. Every impulse within the friction cones lifts the others, so they have no impulse. W is (3n,
+    3n), friction (n,) μ, rates (n,) normal velocities, least a speed that is taken as zero. Returns whether
+    any of these is coupled to another contact.
     """
     n = len(found)
     own = np.empty(n)

@@ -61,10 +61,8 @@ def meet(frame, carrier, columns, signs, constants, v, lower, parents, y, singul
     """Evaluate a contact of a robot with the factor L of M, and fill the rows y (3, nv) of JL⁻¹.
 
     Fills `singular` (FACTOR) with the factor of an ill-conditioned W, else zero; otherwise as `resolve`.
-
-    Returns:
-        What `contact_rows` does, the upper triangle of W (6), the contact's velocity (3), the size of the
-            terms that it is the sum of, and how many numbers of the factor count.
+    Returns what `contact_rows` does, the upper triangle of W (6), the contact's velocity (3), the size of the
+    terms that it is the sum of, and how many numbers of the factor count.
     """
     geometry = contact_rows(frame, carrier, columns, signs, constants, False, y)
     s1, s2, s3 = geometry[9], geometry[10], geometry[11]
@@ -100,28 +98,16 @@ def room_to_resolve(nv: int) -> int:
 )
 @jit
 def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q, v, mu, e, law, room, out):
-    """Resolve the impact of one contact.
+    """Resolve the impact of one contact; out (nv + SIZE,) takes the answer, see `DELASSUS` and what follows.
 
-    Args:
-        mass: (nv, nv) M.
-        parents: (nv,) the next velocity on the way to the root, or −1.
-        frame: (12,) placement of the contact's frame.
-        carrier: (12,) placement of the frame that carries the surface, or of the world.
-        columns: (6, nv) as in `contact_kinematics.fill_jacobian`, seen from where the placements are.
-        signs: (nv,) see there.
-        constants: Of the contact, in these frames' axes.
-        bounds: (2, nq) the least and the greatest value of each coordinate.
-        q: (nq,), only looked through for numbers that are not finite, or beyond these.
-        v: (nv,) pre-impact velocity.
-        mu: Friction.
-        e: Restitution.
-        law: Code of its law.
-        room: (`room_to_resolve`,) of any numbers.
-        out: (nv + SIZE,) takes the answer; see `DELASSUS` and its neighbours.
+    mass (nv, nv) is M, parents (nv,) the next velocities towards the root, or −1, frame and carrier (12,)
+    placements of the contact's frame and of the surface's, in whose axes the constants are; columns (6, nv)
+    and signs as in `contact_kinematics.fill_jacobian`, seen from where the placements are. q (nq,) is only
+    looked through for numbers that are not finite, or beyond bounds (2, nq); v (nv,) is the velocity before
+    the impact, law the code of the law, room (`room_to_resolve`,) scratch.
 
-    Returns:
-        status, flags, iterations, how many coordinates are beyond their bounds; or `SINGULAR_MASS` and the
-        velocity at which the factorization stops.
+    Returns status, flags, iterations, how many coordinates are beyond their bounds; or `SINGULAR_MASS` and
+    the velocity at which the factorization stops.
     """
     mass, columns, room, out = borrowed(mass), borrowed(columns), borrowed(room), borrowed(out)
     n = len(v)
@@ -203,18 +189,7 @@ def _by_tree(work, room, evaluated, q, v, mu, e, out):
 @declared(RobotWorkspace, FLOATS, FLOATS, float, FLOATS)
 @jit
 def robot_impact(work, q, v, e, out):
-    """Resolve the impact of one contact.
-
-    Args:
-        work: `RobotWorkspace`.
-        q: (nq,).
-        v: (nv,) pre-impact velocity.
-        e: Restitution.
-        out: (nv + SIZE,) takes the answer.
-
-    Returns:
-        as `resolve`; or `NOT_NORMALIZED`.
-    """
+    """Resolve the impact of one contact at q (nq,) and v (nv,); return as `resolve`, or `NOT_NORMALIZED`."""
     return _by_tree(work, work.scratch, False, q, v, work.friction, e, out)
 
 
@@ -243,22 +218,11 @@ def _keep(row, status, flags, out, after, impulses, codes, numbers):
 )
 @released
 def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
-    """Resolve one contact's impact from N states.
+    """Resolve one contact's impact from N states q (N, nq) and v (N, nv), where they are usable (N,).
 
-    Args:
-        work: `RobotWorkspace`.
-        q: (N, nq).
-        v: (N, nv).
-        usable: (N,) whether a row is to be resolved; the others are skipped.
-        mu: (N,).
-        e: (N,).
-        after: (N, nv) takes v⁺.
-        impulses: (N, 3) takes the impulses in world axes.
-        codes: (N, 2) takes status and flags; skipped rows do not change.
-        numbers: (N, SIZE) takes the other results of `resolve`; (0, SIZE) if they are not needed.
-
-    Returns:
-        `ALL_DONE`, or the velocity at which the factorization of M stops.
+    mu and e are (N,). after (N, nv) takes v⁺, impulses (N, 3) those in world axes, codes (N, 2) status and
+    flags, numbers (N, SIZE) the other results of `resolve`, or (0, SIZE) none; skipped rows do not change.
+    Returns `ALL_DONE`, or the velocity at which the factorization of M stops.
     """
     room, out = np.empty(work.room), np.empty(v.shape[1] + SIZE)
     last = -1

@@ -18,15 +18,10 @@ EPS = 2.0**-52
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def factor(mass, parents, lower):
-    """Fill `lower` with L; entries of velocities that are not ancestors do not change.
+    """Fill lower (nv, nv) with L of M; entries of velocities that are not ancestors do not change.
 
-    Args:
-        mass: (nv, nv) M.
-        parents: (nv,) the next velocity towards the root, or −1.
-        lower: (nv, nv) takes L.
-
-    Returns:
-        −1, or the first velocity whose inertia, with its subtree free to move, is not positive.
+    parents (nv,) are the next velocities towards the root, or −1. Returns −1, or the first velocity whose
+    inertia, with its subtree free to move, is not positive.
     """
     n = mass.shape[0]
     for i in range(n):

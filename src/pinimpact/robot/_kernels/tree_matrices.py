@@ -139,18 +139,11 @@ def _own_inertia(body, inertia):
 @declared(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, result=bool)
 @external
 def tree_matrices(work, q, bodies, columns, mass):
-    """Evaluate a kinematic tree.
+    """Evaluate a kinematic tree at q (nq,); return whether q is normalized.
 
-    Args:
-        work: `RobotWorkspace`.
-        q: (nq,) configuration.
-        bodies: (bodies, BODY) takes the joints' placements, the world's first, in its first twelve columns.
-        columns: (6, nv) takes the motion of the reference point, as if fixed to the bodies that each velocity
-            moves.
-        mass: (nv, nv) takes M, in the entries of each velocity and its ancestors.
-
-    Returns:
-        Whether q is normalized.
+    bodies (bodies, BODY) takes the joints' placements, the world's first, in its first twelve columns,
+    columns (6, nv) the motion of the reference point, as if fixed to the bodies that each velocity moves,
+    mass (nv, nv) M, in the entries of each velocity and its ancestors.
     """
     bodies, columns, mass = borrowed(bodies), borrowed(columns), borrowed(mass)
     n = work.bodies
