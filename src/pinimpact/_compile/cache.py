@@ -149,9 +149,7 @@ _in_session = False
 def session(missing: bool, needless: Callable[[], bool]) -> Iterator[None]:
     """Compile missing kernels while no other process does; the lock is taken if something is missing.
 
-    Args:
-        missing: Whether kernels are known to be missing.
-        needless: Whether all kernels are cached by now, so that there is no need to wait.
+    There is no need to wait for it once all kernels are cached: then `needless` returns true.
     """
     global _in_session
     _in_session = True

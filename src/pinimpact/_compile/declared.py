@@ -58,12 +58,10 @@ class Job(NamedTuple):
 
 
 def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
-    """Declare the types of a kernel's arguments.
+    """Declare the types of a kernel's arguments, and of its result if callers are to be compiled without it.
 
-    Args:
-        *kinds: The types in order: float, int, bool, a class of `NamedTuple` with annotations of these or of
-            arrays (`Floats` …), a class of `Workspace`, or a numba type.
-        result: The type of the result, if callers are to be compiled without the kernel.
+    A type is float, int, bool, a class of `NamedTuple` with annotations of these or of arrays (`Floats` …), a
+    class of `Workspace`, or a numba type.
     """
 
     def declare(kernel: K) -> K:

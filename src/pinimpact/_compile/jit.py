@@ -131,9 +131,8 @@ def _cached(function: F, pipeline: Any, **options: Any) -> F:
 def compile_all(*calls: tuple[Any, ...]) -> None:
     """Compile or load kernels in the order given, so that nothing is compiled later.
 
-    Args:
-        calls: (kernel, *arguments): a `jit`, and arguments of the types of later calls; no arguments if its
-            types are `declared`.
+    A call is (kernel, *arguments): a `jit`, and arguments of the types of later calls, none if they are
+    `declared`.
     """
     if not all(hasattr(kernel, "py_func") for kernel, *_ in calls):
         return  # it is plain Python

@@ -209,13 +209,7 @@ def to_be_kept_only() -> Iterator[None]:
 
 
 def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
-    """Return the symbol and types of a kernel that is compiled elsewhere, without its code.
-
-    Args:
-        kernel: The kernel.
-        types: Types of its arguments.
-        result: Type of its result.
-    """
+    """Return symbol and types of a kernel that is compiled elsewhere, without its code."""
     function, context = kernel.py_func, kernel.targetctx
     flags = Flags()
     kernel.targetdescr.options.parse_as_flags(flags, kernel.targetoptions)

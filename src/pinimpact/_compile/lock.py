@@ -25,14 +25,7 @@ PAUSE = 0.1
 
 
 class CacheLock:
-    """The lock of a cache folder.
-
-    Attributes:
-        file: The file that is the lock.
-
-    Args:
-        folder: The folder; it need not exist yet.
-    """
+    """The lock of a cache folder, which need not exist yet; `file` is the lock."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.file = Path(folder, "pinimpact.lock")

@@ -43,11 +43,9 @@ _HELP = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {
 
 
 class WorkerPool:
-    """The locks of the processes that compile together.
+    """The locks, in a folder, of the processes that compile together.
 
-    Args:
-        folder: Folder of the locks.
-        helpers: The other processes, in the process that waits for the kernels.
+    The process that waits for the kernels also has the other processes, its helpers.
     """
 
     def __init__(self, folder: Path, helpers: Sequence[subprocess.Popen[bytes]] = ()) -> None:
@@ -76,12 +74,7 @@ class WorkerPool:
             self._file(job).with_suffix(".done").touch()
 
     def of_others(self, job: Job, load: Callable[[], T | None]) -> T | None:
-        """Return a kernel of other processes from the cache; None if there is none or this process locked it.
-
-        Args:
-            job: The kernel.
-            load: Loads it from the cache.
-        """
+        """Load a kernel of other processes from the cache; None if none, or if this process locked it."""
         if self._is_at_work(job) or self.lock(job):
             return None
         while not self._is_over(job):
@@ -161,11 +154,8 @@ def possible_helpers() -> int:
 def worker_pool(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
     """Start helpers, which wait for kernels until the context ends.
 
-    Args:
-        helpers: Their number.
-
-    Yields:
-        A function that compiles jobs, see `declared.jobs`, with them; kernels that remain are compiled later.
+    Yields a function that compiles jobs, see `declared.jobs`, with them; kernels that remain are compiled
+    later.
     """
     started: list[subprocess.Popen[bytes]] = []
     with ExitStack() as stack:

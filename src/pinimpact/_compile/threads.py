@@ -34,13 +34,10 @@ if hasattr(os, "register_at_fork"):  # a child of the process has none of its th
 
 
 def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]:
-    """Call `solve` for slices of `count` rows, and return its results; each thread takes the next slice.
+    """Call `solve` for slices of `count` rows, and return its results in order; a thread takes the next one.
 
     The first slices are long, to save calls, and the last ones short, so that all threads end together: rows
     differ in cost, and cores in speed.
-
-    Returns:
-        The results of `solve`, in the order of the rows.
     """
     if count <= (MOST_SHARE if threads == 1 else LEAST_SHARE):
         return [solve(slice(0, count))]

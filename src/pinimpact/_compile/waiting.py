@@ -39,13 +39,7 @@ def expected(kernels: Iterable[Any], processes: int = 1) -> float:
 
 
 def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
-    """Report that kernels are being compiled.
-
-    Args:
-        kernels: The kernels.
-        kept: Whether they are cached on disk.
-        processes: Number of processes that compile them.
-    """
+    """Report that kernels are being compiled by some processes, and whether they are kept on disk."""
     modules = {kernel.py_func.__module__ for kernel in kernels}
     purpose = SCENES if any(one.startswith(f"{PACKAGE}.scene.") for one in modules) else IMPACTS
     seconds = expected(kernels, processes)

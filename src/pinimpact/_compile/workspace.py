@@ -38,13 +38,7 @@ Declared = TypeVar("Declared", bound="_Field[Any]")
 
 
 class _Field(Generic[T]):
-    """One name of a declaration.
-
-    Attributes:
-        name: Its name.
-        slot: Its index in the memory.
-        meaning: Its description.
-    """
+    """One name of a declaration, with its index in the memory (`slot`) and its description (`meaning`)."""
 
     name: str
     slot: int
@@ -172,12 +166,9 @@ def flag(meaning: str) -> _Flag:
 def reals(*dims: str | int, meaning: str, order: str = "C", given: bool = False) -> _Array:
     """Declare an array of float64.
 
-    Args:
-        *dims: Its shape: sizes or counts by name, or integers. With counts it has room for their limits, and
-            the part in use is at its front, contiguous.
-        meaning: Its description.
-        order: "C", or "F" for column-major order.
-        given: Whether its memory is given when the workspace is created.
+    Its shape consists of sizes or counts by name, or integers. With counts it has room for their limits, and
+    the part in use is at its front, contiguous. The order is "C", or "F" for column-major. The memory of one
+    that is `given` is given when the workspace is created.
     """
     return _Array(float, dims, order, given, meaning)
 
@@ -191,16 +182,9 @@ class Workspace(array.array):
     """The memory that a declaration describes; see the module.
 
     It is an array of the slots: numba distinguishes the classes of such buffers without a call into Python,
-    but not those of bytearrays, of which it knows only the first class that it has seen.
-
-    Args:
-        sizes: The value of each size.
-        arrays: Arrays to use, checked against the declaration; every `given` one is required. Others are
-            allocated, and zero.
-
-    Raises:
-        ValueError: A size or given array that is missing, an unknown name, an array of another shape, type or
-            order than declared.
+    but not those of bytearrays, of which it knows only the first class that it has seen. It is made with the
+    value of each size, and with arrays to use, which are required where `given`; others are allocated, and
+    zero. Raises `ValueError` for anything else than declared.
     """
 
     fields: ClassVar[dict[str, _Field[Any]]] = {}

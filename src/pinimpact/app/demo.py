@@ -280,14 +280,10 @@ def _touch(
 
 
 def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[int, Strike]:
-    """Return the frame that collides, and its posture and point.
+    """Return the frame that collides, and its posture and point, for a table with axes (3, 3).
 
-    Args:
-        body: The robot.
-        q0: (nq,) initial configuration.
-        i: The frame; a free base lands on its lowest point unless `exact`.
-        exact: Whether the origin of the frame collides, instead of the lowest point around it.
-        axes: (3, 3) of the table.
+    A free base lands on its lowest point, and of an arm the lowest point around the frame i collides, unless
+    its origin has to (`exact`). q0 (nq,) is the initial configuration.
     """
     model = body.model
     joint = int(model.frames[i].parentJoint)

@@ -14,15 +14,10 @@ DEFAULT = Path("out")
 
 
 def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> Path:
-    """Return the output folder, created if necessary.
+    """Return the output folder, created if necessary, or raise `InputError`: it has such files already.
 
-    Args:
-        out: The folder given; None for "out" or, if that contains such files, "out-2" and so on.
-        names: Names of the files to write.
-        force: Whether to overwrite files of these names.
-
-    Raises:
-        InputError: It cannot be created, or it contains such files.
+    Without one it is "out" or, if that contains files of these names, "out-2" and so on. `force` overwrites
+    them.
     """
     if out is None:
         out = DEFAULT

@@ -107,13 +107,10 @@ class Body:
         return float(across[inside, 2].min(initial=self.size))
 
     def clearance(self, point: Array, axes: Array, reach: float, own: Collection[int]) -> float:
-        """Return the distance of the shapes of other joints from a plate [m]; < 0 in it.
+        """Return the distance of the shapes of other joints than `own` from a plate [m]; < 0 in it.
 
-        Args:
-            point: Middle of the plate.
-            axes: (3, 3) its directions and its normal, as rows.
-            reach: From its middle to its sides [m].
-            own: Joints that may touch it.
+        The plate reaches from a point to its sides [m]; axes (3, 3) are its directions and its normal, as
+        rows.
         """
         thick = THICKNESS * self.size
         plate, middle = coal.Box(2.0 * reach, 2.0 * reach, thick), point - 0.5 * thick * axes[2]
@@ -165,15 +162,8 @@ def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Ar
     """Return a posture in which a part touches a table from above and all others stay clear of it.
 
     It maximizes the sum of lever arm, distance and upright hand over many postures, with little motion from
-    the initial one.
-
-    Args:
-        body: The robot.
-        q0: (nq,) initial configuration.
-        joint: The joint of the part.
-        local: (3,) the contact point, in the joint's axes; None for the lowest one.
-        axes: (3, 3) of the table, its normal last.
-        reach: Half the size of the plate [m].
+    the initial one, q0. The part of a joint touches at `local` (3,), in its axes, or where it is lowest. The
+    table has axes (3, 3), its normal last, and reaches half its size [m].
     """
     model, normal, own = body.model, axes[2], body.part(joint)
     low, high = bounds(model)
@@ -233,11 +223,7 @@ def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Ar
 def landing(body: Body, tilted: Sequence[Array], feet: Sequence[int], normal: Array) -> tuple[Strike, int]:
     """Return the posture of a landing free base, on a foot if possible, and the joint of its lowest point.
 
-    Args:
-        body: The robot.
-        tilted: Postures to try, in order of preference.
-        feet: Joints of its feet.
-        normal: (3,) of the table.
+    Of postures in order of preference, for joints of its feet and the normal (3,) of the table.
     """
     parts = [body.part(joint) for joint in feet]
     found = []

@@ -110,12 +110,7 @@ def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> di
 
 
 def run_report(trajectory: Trajectory, every: bool = False) -> RenderableType:
-    """Return a run as tables: its impacts, modes, energy, notes, and how it ended.
-
-    Args:
-        trajectory: The run.
-        every: Whether to show all impacts, modes and notes, instead of the first ones and groups of notes.
-    """
+    """Return a run as tables: impacts, modes, energy, notes, how it ended; the first rows, or every one."""
     impacts, modes = trajectory.impacts, trajectory.modes
     shown = None if every else LONGEST
     return Group(
@@ -174,12 +169,7 @@ def run_facts(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
-    """Return `robot_facts` as tables.
-
-    Args:
-        facts: The facts.
-        every: Whether to list all frames.
-    """
+    """Return `robot_facts` as tables, with a list of every frame or of their names."""
     base = "free" if facts["free_base"] else "fixed"
     heading = (
         f"{facts['robot']}: {counted(facts['nv'], 'velocity')} (nq = {facts['nq']}), {base} base, "
@@ -282,12 +272,7 @@ def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
 
 
 def rounded(values: Any, size: float = 0.0) -> list[float]:
-    """Return numbers (n,) with zeros for those within rounding.
-
-    Args:
-        values: The numbers.
-        size: Size of the terms of which they are sums; at least that of the largest of them.
-    """
+    """Return numbers (n,), zero where within rounding of the largest, or of terms of a larger size."""
     found = np.asarray(values, dtype=float)
     least = ROUNDING * max(size, float(np.abs(found).max(initial=0.0)))
     return [0.0 if abs(x) <= least else x for x in found.tolist()]

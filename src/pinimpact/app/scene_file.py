@@ -277,13 +277,8 @@ def bundled_scenes() -> dict[str, Path]:
 def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> SceneFile:
     """Return the checked tables of a scene file; paths in it are not resolved.
 
-    Args:
-        path: The file.
-        control: Keys of its table ``[control]`` that replace those in the file.
-
-    Raises:
-        InputError: No such file, invalid TOML, an invalid value; the message names the key.
-        UnknownNameError: An unknown key; the message suggests similar ones.
+    `control` has keys of its table ``[control]`` that replace those in the file. Raises `InputError` or
+    `UnknownNameError`, whose messages name the key.
     """
     tables = read_toml(path, "scene", bundled_scenes())
     if control:

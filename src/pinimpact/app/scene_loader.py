@@ -29,10 +29,7 @@ from .units import quantity
 class JointControl:
     """The control of ``[control]``: control(t, q, v) -> (nv,) generalized forces [N, N m].
 
-    Args:
-        table: The table ``[control]``.
-        model: The robot.
-        start: (nq,) reference configuration of the stiffness.
+    `start` (nq,) is the reference configuration of the stiffness.
     """
 
     def __init__(self, table: ControlTable, model: pin.Model, start: Array) -> None:
@@ -109,16 +106,10 @@ class LoadedScene:
 
 
 def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> LoadedScene:
-    """Read a scene file. Paths in it are relative to the file.
+    """Read a scene file, or the scene of the package of that name. Paths in it are relative to the file.
 
-    Args:
-        path: The file, or the name of a scene of the package, such as "falling_rod".
-        control: Keys of its table ``[control]`` that replace those in the file.
-
-    Raises:
-        InputError: No such file, invalid TOML, an invalid value; the message names the key.
-        UnknownNameError: An unknown key, surface, joint, frame or robot; the message suggests similar ones.
-        ModelError: A robot that cannot be used.
+    `control` as in `read_scene_file`, with its errors, also for names of surfaces, joints, frames and robots;
+    `ModelError` for a robot that cannot be used.
     """
     path = bundled_scenes().get(str(path), Path(path))
     file = read_scene_file(path, control)

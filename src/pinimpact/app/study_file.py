@@ -70,13 +70,7 @@ class LoadedStudy:
 
 
 def load_study(path: Path) -> LoadedStudy:
-    """Read a study file and its scene.
-
-    Raises:
-        InputError: A missing or invalid file, an invalid value; the message names the key.
-        UnknownNameError: An unknown key or distribution.
-        ModelError: A robot that cannot be used.
-    """
+    """Read a study file and its scene; errors as in `load_scene`."""
     file = validated(StudyFile, read_toml(path, "study", ()), path)
     scene: str | Path = file.scene
     if file.scene not in bundled_scenes():

@@ -39,9 +39,8 @@ def _one_joint() -> None:
 def warm_up() -> str | None:
     """Compile or load all kernels that impacts, scenes and their measurements can call.
 
-    Returns:
-        The common folder of their caches, if they have one; None if no folder is writable, so that every
-        process compiles its own.
+    Returns the common folder of their caches, if they have one; None if no folder is writable, so that every
+    process compiles its own.
     """
     modules = [
         importlib.import_module(module.name)

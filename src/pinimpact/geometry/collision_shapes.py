@@ -84,15 +84,9 @@ def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
 
 
 def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points: int | None) -> ShapeTips:
-    """Return the parts of a shape that can touch a plane.
+    """Return the parts of a shape that can touch a plane, or raise `InputError`: it has none.
 
-    Args:
-        shapes: The collision shapes.
-        shape: One of them.
-        rim_points: Number of points of each rim, None for the rim itself.
-
-    Raises:
-        InputError: A shape of a kind that has no such parts, or none at all.
+    `rim_points` is the number of points of each rim, None for the rim itself.
     """
     solid = shape.geometry
     kind = type(solid).__name__
@@ -199,14 +193,9 @@ _hulls: Remembered = {}
 def remembered(
     memory: Remembered, shapes: pin.GeometryModel, name: str, points: Array, make: Callable[[], Any]
 ) -> Any:
-    """Return an object computed from the vertices of a shape, cached as long as its model exists.
+    """Return what `make` computes from the vertices of a shape, cached as long as its model exists.
 
-    Args:
-        memory: The cache.
-        shapes: The collision shapes.
-        name: Name of one of them.
-        points: (m, 3) its vertices now; if they have changed the object is recomputed.
-        make: Computes it.
+    It is computed again if the vertices (m, 3) have changed.
     """
     key = id(shapes)
     known = memory.get(key)

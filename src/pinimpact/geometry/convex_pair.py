@@ -43,12 +43,8 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
 
     To rounding up to `CLOSE` of their size; beyond, less than the distance by at most coal's error, which
     makes boxes larger by 10⁻¹⁰. Spheres and capsules do not need coal. Cores that are that close and have no
-    radius around them are apart by at least the gap, see `separation`.
-
-    Args:
-        a: The one shape.
-        b: The other.
-        near: (3,) a recent direction of separation, if known.
+    radius around them are apart by at least the gap, see `separation`. `near` (3,) is a recent direction of
+    separation, if known.
     """
     size = a.shape.reach + b.shape.reach
     radius = a.shape.radius + b.shape.radius
@@ -121,13 +117,8 @@ def separation(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap
     """Return the separation of the cores along the best of the directions of faces and edges.
 
     It is positive if and only if the cores are apart, and then at most their distance; if negative, it is the
-    depth of their overlap. Of equal directions, faces of B precede faces of A, and these pairs of edges.
-
-    Args:
-        a: The one shape.
-        b: The other.
-        near: (3,) a direction along which they are nearly apart, so that only faces and edges there are
-            tried; None for all.
+    depth of their overlap. Of equal directions, faces of B precede faces of A, and these pairs of edges. With
+    `near` (3,), a direction along which they are nearly apart, only faces and edges there are tried.
     """
     size = a.shape.reach + b.shape.reach
     best, normal = -math.inf, np.array([0.0, 0.0, 1.0])
@@ -156,10 +147,7 @@ class Turning(NamedTuple):
 def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
     """Return the separations along all directions that are as good as the best, for cores in contact.
 
-    Args:
-        a: The one shape.
-        b: The other.
-        near: (3,) a direction along which they are nearly apart.
+    `near` (3,) is a direction along which they are nearly apart.
     """
     crossed, u, w = _crossed(a, b, near)
     axes = np.concatenate([b.normals, -a.normals, crossed])
@@ -282,14 +270,7 @@ class Followed(NamedTuple):
 
 
 def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Followed:
-    """Return a pair of features at the present placements, extended beyond their ends.
-
-    Args:
-        touch: The pair.
-        a: The one shape.
-        b: The other.
-        normal: (3,) a recent normal.
-    """
+    """Return a pair of features at the present placements, extended beyond their ends; see `Followed`."""
     i, j = touch.features
     if touch.kind in ("face-vertex", "edge-vertex"):
         found = follow(touch.mirrored, b, a, -normal)
@@ -361,17 +342,12 @@ def corners_of(touch: Touch, a: PlacedShape, b: PlacedShape) -> tuple[Integers, 
 
 
 def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> list[Touch]:
-    """Return the contact points of two shapes with a gap of about zero along a normal.
+    """Return the contact points of two shapes with a gap of about zero along a normal (3,), from B to A.
 
     For faces, or a face and an edge, that lie on each other these are the corners of their intersection:
     corners of one within the other, and crossings of their edges. Coincident points are returned once, and a
-    pair of features with more corners precedes one with fewer.
-
-    Args:
-        a: The one shape.
-        b: The other.
-        normal: (3,) the normal, from B to A.
-        tolerance: Distance by which features in contact may be behind the extreme ones [m].
+    pair of features with more corners precedes one with fewer. Features in contact may be behind the extreme
+    ones by the tolerance [m].
     """
     size = a.shape.reach + b.shape.reach
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))

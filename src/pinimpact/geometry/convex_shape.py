@@ -63,13 +63,7 @@ class ConvexShape:
 
 
 class PlacedShape:
-    """A convex shape at a placement.
-
-    Attributes:
-        shape: The shape.
-        rotation, translation: (3, 3) and (3,) its placement.
-        vertices: (n, 3) of the core, in world axes.
-    """
+    """A convex shape at a placement, with the vertices (n, 3) of its core in world axes."""
 
     def __init__(self, shape: ConvexShape, rotation: Array, translation: Array) -> None:
         self.shape = shape
@@ -197,13 +191,9 @@ def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
 
 
 def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
-    """Return the convex shape of a coal geometry; for a mesh its convex hull.
+    """Return the convex shape of a coal geometry, or raise `InputError`: it is of another kind.
 
-    Raises:
-        InputError: A kind other than box, sphere, capsule, convex hull and mesh.
-
-    Warns:
-        UserWarning: A mesh that is not convex: its hull is used.
+    For a mesh it is the convex hull, with a warning if the mesh is not convex.
     """
     kind = type(geometry).__name__
     if kind == "Box":

@@ -28,13 +28,7 @@ class Patch(NamedTuple):
 
 
 def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
-    """Return the contact patch of two shapes within a distance, None if they are apart.
-
-    Args:
-        a: The first shape.
-        b: The second.
-        within: The distance [m].
-    """
+    """Return the contact patch of two shapes within a distance [m], None if they are apart."""
     found = gap(a, b)
     if found.value > within:
         return None
@@ -82,14 +76,9 @@ def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def _on_face(a: PlacedShape, b: PlacedShape, face: int, within: float, facing: Array) -> Patch | None:
-    """Return the patch of a shape over a face of another.
+    """Return the patch of a shape A over a face of another, with gaps up to `within` [m].
 
-    Args:
-        a: The shape.
-        b: The other.
-        face: The number of its face.
-        within: The largest gap [m].
-        facing: How much each face of `a` faces that face; empty where `a` has none.
+    `facing` has how much each face of A faces that face; it is empty where A has none.
     """
     normal = b.normals[face]
     plane = float(b.offsets[face]) + b.shape.radius

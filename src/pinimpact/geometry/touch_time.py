@@ -84,18 +84,11 @@ class Front(NamedTuple):
 def first_touch(
     at: Callable[[float], PairState], start: float, end: float, bend: float, floor: float
 ) -> Advance | None:
-    """Return the first contact of two shapes until a time; without contact, the state at `end`.
+    """Return the first contact of two shapes from `start` to `end` [s]; without contact, the state at `end`.
 
-    Args:
-        at: Returns the shapes at a time.
-        start: Start of the search [s].
-        end: End of the search [s].
-        bend: Bound of the acceleration of a point of one shape relative to the other, from `start` to `end`
-            [m/s²].
-        floor: A gap below this is taken as zero [m].
-
-    Returns:
-        None if they neither touch nor separate within `MAX_ADVANCES`.
+    `at` returns the shapes at a time. `bend` bounds the acceleration of a point of one shape relative to the
+    other [m/s²]. A gap below `floor` is taken as zero [m]. None is returned if they neither touch nor
+    separate within `MAX_ADVANCES`.
     """
     near: Array | None = None
     fastest: Fastest | None = None
@@ -253,13 +246,8 @@ def _front(
 def advance(fronts: Callable[[float], list[Front]], start: float, end: float, floor: float) -> Advance | None:
     """Return the first contact of features that face each other, until a time; see `first_touch`.
 
-    A gap below zero at the start is the zero of all gaps: after a separation it is off by rounding.
-
-    Args:
-        fronts: Returns the features along one normal, or several that are equally good at the time.
-        start: Start of the search [s].
-        end: End of the search [s].
-        floor: A gap below this is taken as zero [m].
+    A gap below zero at the start is the zero of all gaps: after a separation it is off by rounding. `fronts`
+    returns the features along one normal, or several that are equally good at the time.
     """
     t, base = start, math.inf
     for _ in range(MAX_ADVANCES):

@@ -215,12 +215,7 @@ class Contact:
 
 
 def is_pair(robot: Any, contact: Contact) -> bool:
-    """Whether a contact is one of two convex shapes: not of a shape and a plane, nor of two spheres.
-
-    Args:
-        robot: The RobotWrapper with the collision shapes.
-        contact: The contact.
-    """
+    """Whether a contact is one of two convex shapes: not of a shape and a plane, nor of two spheres."""
     if contact.geometry is None or isinstance(contact.plane, Solid):
         return contact.geometry is not None
     if not isinstance(contact.plane, Sphere):

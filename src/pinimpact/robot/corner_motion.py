@@ -35,16 +35,10 @@ class Corner(NamedTuple):
     def follow(self, data: pin.Data, columns: Array, shifts: Array) -> bool:
         """Set in `shifts` how the corner and the normal move, which those of that contact fix to the shapes.
 
-        Args:
-            data: With joint placements up to date.
-            columns: (6, nv) motions of the joints, at the origin of the world.
-            shifts: (nv, SHIFT) of the contact, see `configuration_slopes`.
-
-        Returns:
-            Whether it is a vertex on an edge of the other shape, so that it moves in another way to one side.
-
-        Raises:
-            InputError: A rounded shape in contact with an edge or a corner: its motion is not known.
+        Given columns (6, nv), the motions of the joints at the origin of the world, and shifts (nv, SHIFT) of
+        the contact, see `configuration_slopes`; joint placements of `data` are up to date. Returns whether it
+        is a vertex on an edge of the other shape, so that it moves in another way to one side. Raises
+        `InputError` for a rounded shape in contact with an edge or a corner: its motion is not known.
         """
         a, b = self.pair.placed(data)
         n = self.normal
@@ -71,13 +65,9 @@ class Corner(NamedTuple):
 
 
 def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> list[tuple[Corner, Contact]]:
-    """Return where two shapes are closest, with the contact at each place; none where features meet.
+    """Return where two shapes are closest at q (nq,), with the contact there; none where features meet.
 
-    Args:
-        robot: The robot or its model.
-        data: Its data; ``data.oMi`` is up to date afterwards.
-        q: (nq,) configuration.
-        pair: The two shapes.
+    Afterwards ``data.oMi`` is up to date.
     """
     places = closest_points(robot, data, q, pair)
     found, placed = [], PlacedRobot(robot, data, q)

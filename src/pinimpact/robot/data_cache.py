@@ -183,11 +183,9 @@ def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
 
 
 def checked_configuration(cache: DataCache, model: pin.Model, q: Any) -> np.ndarray:
-    """Return q as a checked (nq,) array.
+    """Return q as a checked (nq,) array, or raise `InputError`: wrong length, not finite, or not normalized.
 
-    Raises:
-        InputError: Wrong length, not finite, or a quaternion or (cos, sin) pair that is not of unit length
-            to half of the digits.
+    A quaternion or (cos, sin) pair is of unit length to half of the digits.
     """
     q = finite_array("q", q, cache.q_shape)
     if cache.curved and not pin.isNormalized(model, q, HALF_DIGITS):

@@ -45,16 +45,10 @@ class _OfJoints:
 
 
 class Forest:
-    """Replaces the Data of a robot of many trees.
+    """Replaces the Data of a robot of many trees; the joints of its model are in depth-first order.
 
-    Attributes:
-        model: The robot's model.
-        parts: Its trees, in groups.
-        oMi, v, a: Placements and motions of the joints, as in a Data.
-
-    Args:
-        model: The model; its joints are in depth-first order.
-        most: Largest number of velocities of a part, unless a single tree has more.
+    `parts` are its trees, in groups of at most `most` velocities unless a single tree has more, and oMi, v, a
+    placements and motions of the joints, as in a Data.
     """
 
     def __init__(self, model: pin.Model, most: int = LARGE) -> None:

@@ -33,10 +33,7 @@ def moves(geometry: ContactGeometry, v: Array) -> bool:
 def pull(geometry: ContactGeometry, push: Array, impulse: Array) -> float:
     """Return with what a held contact would have to pull in an impact [N s], 0 for none.
 
-    Args:
-        geometry: Of the contact.
-        push: (3,) impulse on the robot at it, in world axes.
-        impulse: That of the impact, of any shape.
+    `push` (3,) is the impulse on the robot at it, in world axes, `impulse` that of the impact, of any shape.
     """
     found = -float(geometry.axes[2] @ push)
     return found if found > ROUNDING * float(np.linalg.norm(impulse)) else 0.0
@@ -70,14 +67,7 @@ def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact]
 def warn_of_pulls(
     geometries: Sequence[ContactGeometry], held: Sequence[Contact], impulses: Array, impulse: Array
 ) -> None:
-    """Warn of held contacts that pull on their surfaces, where the caller of `impact` stands.
-
-    Args:
-        geometries: Geometry of the held contacts.
-        held: The held contacts.
-        impulses: (k, 3) on the robot at them, in world axes.
-        impulse: Impulse of the impact, of any shape.
-    """
+    """Warn of held contacts that pull on their surfaces, where the caller of `impact` stands; see `pull`."""
     for anchor, geometry, push in zip(held, geometries, impulses, strict=True):
         needed = pull(geometry, push, impulse)
         if needed > 0.0:

@@ -69,14 +69,7 @@ def degrees_hint(value: float) -> str:
 
 
 def warn_of_limits(model: pin.Model, q: Array, rows: str, stacklevel: int) -> None:
-    """Warn that a configuration (nq,) is outside the limits of a joint.
-
-    Args:
-        model: The robot.
-        q: The configuration.
-        rows: Addition to the message, if there are several: " in 3 rows".
-        stacklevel: As in `warnings.warn`.
-    """
+    """Warn that q (nq,) is outside the limits of a joint; `rows` is added to the message, as " in 3 rows"."""
     low, high = bounds(model)
     beyond = np.maximum(low - q, q - high)
     i = int(np.argmax(beyond))

@@ -111,22 +111,12 @@ class ContactRow(NamedTuple):
 class RowSlopes:
     """How the rows of contacts of a robot, and its mass, change with its configuration.
 
-    Args:
-        placed: The robot at its configuration.
-        contacts: The k contacts.
-        corners: By place among these: of contacts of two shapes, the corners that they stand for.
-        spare: A Data of the model, of which nothing else is read.
-        on_surface: Whether contact points are those of the surfaces, see `contact_kinematics.jacobian`.
+    Of contacts of two shapes, `corners` has by their place among the contacts the corners that they stand
+    for. Of `spare`, a Data of the model, nothing else is read. `on_surface` see
+    `contact_kinematics.jacobian`. Raises `InputError` for a corner whose motion is not known.
 
-    Attributes:
-        contacts: The contacts, with corners fixed to the shapes.
-        axes: (3, 3) of each contact, as rows.
-        rows: Their rows.
-        fixed: The same, with corners fixed to the shapes.
-        features_meet: Whether a corner is a vertex of one shape on an edge of the other.
-
-    Raises:
-        InputError: A corner whose motion is not known.
+    `contacts` are then with corners fixed to the shapes, as are the rows `fixed`; `axes` (3, 3) and `rows`
+    are those of each contact; `features_meet` if a corner is a vertex of one shape on an edge of the other.
     """
 
     def __init__(
@@ -198,16 +188,8 @@ def motions_in(tree: Tree, x: Array) -> Array:
 class ManySlopes:
     """How the data of an impact of a robot at n contacts and joint stops change with its configuration.
 
-    Args:
-        placed: The robot at its configuration.
-        contacts: The k contacts.
-        matrices: Of contacts and stops, which come last.
-        held: Held contacts.
-        free: (nv,) which velocities are not locked.
-        corners, on_surface: See `RowSlopes`.
-
-    Attributes:
-        delassus: (nv, 3n, 3n) ∂W/∂q. (D17), (D21)
+    Stops come last in the matrices; free (nv,) are the velocities that are not locked; corners and on_surface
+    as in `RowSlopes`. `delassus` (nv, 3n, 3n) is ∂W/∂q. (D17), (D21)
     """
 
     def __init__(
@@ -313,12 +295,9 @@ def _assembled(of_matrices: ManySlopes, v: Array, impulse: Array, found: Slopes)
 
 
 def state_changes(velocity: Array, delassus: Array, bends: Array) -> list[Change]:
-    """Return changes of an impact's data by columns of velocities (3n, m) and by matrices (m, 3n, 3n).
+    """Return changes of an impact's data by columns of velocities (3n, m) and of W, (m, 3n, 3n).
 
-    Args:
-        velocity: Of the contacts.
-        delassus: Of W.
-        bends: (n,) de/d(approach speed).
+    `bends` (n,) are de/d(approach speed) of the contacts.
     """
     zero = np.zeros(len(bends))
     return [

@@ -141,17 +141,7 @@ def many_matrices(
     locked: Sequence[str | int] = (),
     stiffening: Stiffening = None,
 ) -> ManyMatrices:
-    """Return the matrices of n contacts at a configuration.
-
-    Args:
-        model: As in `contact_matrices`.
-        data: Likewise.
-        q: (nq,) configuration.
-        contacts: The contacts.
-        held: Held contacts, see `contact_matrices`.
-        locked: Joints whose velocity cannot change.
-        stiffening: Of joints, see `impact`.
-    """
+    """Return the matrices of n contacts at a configuration; other arguments as in `contact_matrices`."""
     placed, anchors, mobility = _placed(model, data, q, held, locked, stiffening)
     return checked_matrices(placed, contacts, anchors, mobility, np.zeros((0, len(mobility))))
 
@@ -181,13 +171,8 @@ def checked_matrices(
 ) -> ManyMatrices:
     """Return the matrices of n contacts and of joint stops, for checked arguments.
 
-    Args:
-        placed: The robot at its configuration.
-        contacts: The contacts.
-        anchors: Geometry of each held contact.
-        mobility: (nv,) of the velocities, see `mobilities`.
-        stops: (m, nv) rows of joint stops, which are like contacts without tangential directions.
-        on_surface: Whether contact points are those of the surfaces, see `contact_kinematics.jacobian`.
+    `anchors` are held contacts; mobility (nv,) see `mobilities`. The rows (m, nv) of stops are like contacts
+    without tangential directions. `on_surface` see `contact_kinematics.jacobian`.
     """
     mass = placed.mass_matrix()
     k, n = len(contacts), len(contacts) + len(stops)

@@ -15,17 +15,11 @@ from ..errors import ModelError
 
 
 def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
-    """Return the robot of an MJCF file.
+    """Return the robot of an MJCF file, or raise `ModelError`.
 
     Its ``q0`` is the key called "home", or else the first key, or else that of the joints in the file.
-    Warnings name equality constraints, which are ignored, and meshes that are not found.
-
-    Args:
-        path: The file.
-        root_joint: Joint of the base; None if the file has one.
-
-    Raises:
-        ModelError: A file that Pinocchio cannot read.
+    Warnings name equality constraints, which are ignored, and meshes that are not found. `root_joint` is a
+    joint of the base, or () if the file has one.
     """
     try:
         model = pin.buildModelAndConstraintsFromMJCF(str(path), *root_joint)[0]

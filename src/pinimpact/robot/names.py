@@ -18,9 +18,7 @@ Stiffening: TypeAlias = float | Mapping[str, float] | None
 def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     """Return the id of a frame given by name or id.
 
-    Raises:
-        UnknownNameError: No frame has the name (the message suggests similar ones), several have it (the
-            message has their ids), or the id is out of range.
+    Raises `UnknownNameError` if no frame has the name, with similar ones, or several have it, with their ids.
     """
     if not isinstance(key, str):
         if not 0 <= key < model.nframes:
@@ -96,9 +94,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
 def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffening = None) -> np.ndarray:
     """Return (nv,) √(1 − s) for the stiffening s of each velocity: 1 where it is free, 0 where locked. (1.7)
 
-    Raises:
-        InputError: A stiffening that is not between 0 and 1, or of a joint that has not one velocity.
-        UnknownNameError: A name that no joint has, or a number out of range.
+    Raises `InputError` for a stiffening that is not between 0 and 1, or of a joint that has not one velocity.
     """
     stiff = np.zeros(model.nv)
     if isinstance(stiffening, Mapping):

@@ -27,16 +27,10 @@ def fill_one_sided_of_robot(
     contact: Contact,
     evaluate: Callable[[Array, Array, Contact], Array],
 ) -> None:
-    """Fill columns of the derivatives of an impact that are NaN, to one side.
+    """Fill columns of the derivatives of an impact that are NaN, to one side, 1 or −1.
 
-    Args:
-        block: (nv + 3, 2 nv + 9), see `ImpactDerivatives`.
-        side: 1 or −1.
-        model: The robot.
-        q: (nq,) configuration.
-        v: (nv,) velocity before the impact.
-        contact: The contact.
-        evaluate: Returns the block for others of the last three.
+    The block (nv + 3, 2 nv + 9) is that of `ImpactDerivatives`, at q (nq,) and v (nv,) before the impact;
+    `evaluate` returns it for others of q, v and contact.
     """
     nv, plane, mu, speed = len(v), contact.plane, contact.friction, float(np.linalg.norm(v))
     sizes = np.concatenate([np.ones(nv), np.full(nv + 6, speed), [mu if mu > 0.0 else 1.0, 1.0]])

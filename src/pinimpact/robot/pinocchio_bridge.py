@@ -89,34 +89,18 @@ def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
 
 
 class RobotDynamics:
-    """Forward dynamics of a robot for kernels: calls that read buffers and fill arrays, on separate Data.
+    """Forward dynamics of a robot for kernels: calls that read q, v, tau and fill arrays."""
 
-    Attributes:
-        model: The robot's model.
-        q, v, tau: (nq,), (nv,), (nv,) buffers that the calls read: state, generalized forces.
-        forward_dynamics: Fills `acceleration`, `placements`, `velocities`, `accelerations` and
-            `joint_jacobian`.
-        inverse_mass: Fills `minverse`; only after `forward_dynamics` at the same state.
-        forward_kinematics: Fills `placements` and `local_velocities`.
-        acceleration: (nv,) v̇.
-        minverse: (nv, nv) M⁻¹.
-        placements: (nj, 12) of the joints, the world first: rotation column by column, translation.
-        local_velocities: (nj, 6) of the joints in their own axes, linear over angular.
-        velocities: (nj, 6) of the joints, spatial, in world axes at the world's origin.
-        accelerations: (nj, 6) likewise, less the acceleration of gravity.
-        joint_jacobian: (6, nv) in world axes at the world's origin; Fortran-contiguous.
-    """
-
-    forward_dynamics: Call
-    inverse_mass: Call
-    forward_kinematics: Call
-    acceleration: Array
-    minverse: Array
-    placements: Array
-    local_velocities: Array
-    velocities: Array
-    accelerations: Array
-    joint_jacobian: Array
+    forward_dynamics: Call  # fills `acceleration`, `placements`, `velocities` … `joint_jacobian`
+    inverse_mass: Call  # fills `minverse`; only after `forward_dynamics` at the same state
+    forward_kinematics: Call  # fills `placements` and `local_velocities`
+    acceleration: Array  # (nv,) v̇
+    minverse: Array  # (nv, nv) M⁻¹
+    placements: Array  # (nj, 12) of the joints, the world first: rotation column by column, translation
+    local_velocities: Array  # (nj, 6) of the joints in their own axes, linear over angular
+    velocities: Array  # (nj, 6) of the joints, spatial, in world axes at the world's origin
+    accelerations: Array  # (nj, 6) likewise, less the acceleration of gravity
+    joint_jacobian: Array  # (6, nv) in world axes at the world's origin; Fortran-contiguous
 
     def __init__(self, model: pin.Model) -> None:
         self.model = model
@@ -129,9 +113,7 @@ class RobotDynamics:
 def robot_dynamics(model: pin.Model) -> RobotDynamics:
     """Return the forward dynamics of a robot, with results in place if this version of Pinocchio allows it.
 
-    Raises:
-        ModelError: No joints, joints that are not in depth-first order, or mimic joints, for which
-            Pinocchio has no forward dynamics.
+    Raises `ModelError` for a robot of which Pinocchio has none: mimic joints, none, or not depth-first.
     """
     _check_joints(model)
     forest = data_of(model)
@@ -429,17 +411,10 @@ def by_row(array: Array) -> bool:
 
 
 def rows(items: Sequence[Any], again: Sequence[Any], name: str) -> Array:
-    """Return (n, 12) placements or (n, 6) motions of a Data in place.
+    """Return (n, 12) placements or (n, 6) motions of a vector of a Data in place, or raise `ElsewhereError`.
 
     The first two elements and the last one determine the layout, since those of a vector are contiguous.
-
-    Args:
-        items: The elements of one of Pinocchio's vectors.
-        again: The same from a second access: copies that exist at once would have two addresses each.
-        name: Name of the vector.
-
-    Raises:
-        ElsewhereError: They are not rows of an array.
+    `again` is from a second access: copies that exist at once would have two addresses each.
     """
     count = len(items)
     taken = [(k, _parts(vector[k])) for vector in (items, again) for k in {0, min(1, count - 1), count - 1}]

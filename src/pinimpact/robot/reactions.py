@@ -17,13 +17,8 @@ from .placed_robot import PlacedRobot
 def joint_reactions(placed: PlacedRobot, change: Array, contacts: Sequence[Contact], pushes: Array) -> Array:
     """Return the impulsive wrenches through the joints (joints, 6), see `Hit.joint_reactions`.
 
-    By inverse dynamics without gravity of the change of velocity, with the impulses as external forces.
-
-    Args:
-        placed: The robot.
-        change: (nv,) Δq̇.
-        contacts: What has impulses.
-        pushes: (k, 3) impulses on the robot, in world axes.
+    By inverse dynamics without gravity of the change (nv,) of velocity, with the impulses `pushes` (k, 3) of
+    the contacts, in world axes, as external forces.
     """
     model, data = placed.model, placed.data
     if isinstance(data, Forest):

@@ -72,10 +72,6 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
     """Return a contact for each possible contact point of two shapes, initially far from any surface.
 
     Their positions are set when the shapes touch; see `point_contacts`.
-
-    Args:
-        robot: The RobotWrapper with the collision shapes.
-        contact: The contact of two shapes.
     """
     pair = shape_pair(robot, contact)
     count = pair.most_points
@@ -97,16 +93,10 @@ FAR = 1e12
 
 
 def shape_pair(robot: Any, contact: Contact) -> ShapePair:
-    """Return the two shapes of a contact.
+    """Return the two shapes of a contact with a `geometry`, and a solid or a sphere as its `plane`.
 
-    Args:
-        robot: The RobotWrapper with the collision shapes.
-        contact: With a `geometry`, and a solid or a sphere as its `plane`.
-
-    Raises:
-        InputError: A robot without collision shapes, a shape that cannot be made convex, two shapes that
-            cannot move relative to each other.
-        UnknownNameError: There is no shape of that name; the message suggests similar names.
+    Raises `InputError` where there are none, none that are convex, or two that cannot move relative to each
+    other, `UnknownNameError` with similar names.
     """
     a, b = two_shapes(robot, contact.geometry or "", contact.rim_points, contact.plane)
     if not motion_signs(model_of(robot), a.joint, b.joint).any():
@@ -137,13 +127,7 @@ def point_contact(
 ) -> PointContact:
     """Return the contacts of a contact point of two shapes, at the configuration of `data`.
 
-    Args:
-        pair: The shapes.
-        data: With joint placements up to date.
-        placed: The shapes at their placements.
-        normal: (3,) from B to A.
-        touch: The point.
-        basis: A contact with the coefficients and the name.
+    The shapes are `placed` there, with a normal (3,) from B to A; the basis has coefficients and name.
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     instant = one.tip(touch.point, other.plane(touch.other, normal))
@@ -210,13 +194,9 @@ class _Side:
 
 
 def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) -> list[list[PointContact]]:
-    """Return the closest points of two shapes at a configuration, each as contacts of all features there.
+    """Return the closest points of two shapes at q (nq,), each as contacts of all features there.
 
-    Args:
-        robot: The robot or its model.
-        data: Its data; ``data.oMi`` and ``data.liMi`` change.
-        q: (nq,) configuration.
-        pair: The two shapes.
+    Changes ``data.oMi`` and ``data.liMi``.
     """
     PlacedRobot(robot, data, q)
     placed = pair.placed(data)
@@ -239,14 +219,9 @@ def known(place: list[PointContact]) -> PointContact:
 def contact_now(
     model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact, pair: ShapePair | None
 ) -> tuple[Contact, Contact | None, bool]:
-    """Return a contact as it is at a configuration: `instant`, `lasting` and `swapped` of a `PointContact`.
+    """Return a contact as it is at q (nq,): `instant`, `lasting` and `swapped` of a `PointContact`.
 
-    Args:
-        model: The model of the robot.
-        data: Its data, see `closest_points`.
-        q: (nq,) configuration.
-        contact: The contact.
-        pair: The two shapes that it is of, or None. If they touch at several places `lasting` is None.
+    Its two shapes are given as `pair`, if it has any. If they touch at several places `lasting` is None.
     """
     if pair is None:
         return contact, contact, False

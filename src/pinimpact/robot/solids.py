@@ -58,14 +58,8 @@ def carried(
 def collision_shape(robot: Any, name: str, rim_points: int | None = None) -> CarriedShape:
     """Return a collision shape of a robot as a convex shape; for a mesh its hull.
 
-    Args:
-        robot: The RobotWrapper.
-        name: Name of the shape.
-        rim_points: Number of points of each rim of a cylinder or cone.
-
-    Raises:
-        InputError: A robot without collision shapes, a shape that cannot be made convex.
-        UnknownNameError: There is no shape of that name; the message suggests similar names.
+    A cylinder or cone has `rim_points` on each rim. Raises `InputError` for a shape that cannot be made
+    convex, or a robot without any, `UnknownNameError` with similar names.
     """
     model, shapes = model_of(robot), collision_model(robot)
     found = find_shape(shapes, name)

@@ -18,13 +18,9 @@ from .placed_robot import PlacedRobot
 
 
 def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
-    """Return the tips of a contact of a collision shape with the smallest gap at a configuration.
+    """Return the tips of a contact of a collision shape with the smallest gap at q (nq,).
 
-    Args:
-        robot: The RobotWrapper.
-        data: Its data; `Contact.gap` lists the fields that change.
-        q: (nq,) configuration.
-        contact: The contact.
+    `Contact.gap` lists the fields of `data` that change.
     """
     tips, placed = contact.tips(robot), PlacedRobot(robot, data, q)
     found = [placed.locate(tip) for tip in tips]

@@ -49,9 +49,7 @@ class Tree(NamedTuple):
 def tree_of(model: pin.Model, parts: Sequence[pin.Model]) -> Tree | None:
     """Return the numbers of a model for `tree_matrices`, or None if it does not support some joints.
 
-    Args:
-        model: The model.
-        parts: Models of its trees, used in the check, or the model itself.
+    `parts`, models of its trees or the model itself, are used in the check.
     """
     if bridge.flaw(model) is not None:
         return None
@@ -182,14 +180,8 @@ def workspace_of(
 ) -> RobotWorkspace:
     """Return the workspace of a contact, without the contact's constants.
 
-    Args:
-        tree: The numbers of the model.
-        frame: Id of the contact's frame.
-        carrier: Id of the frame to which the surface is attached, 0 for the world.
-        model: Pinocchio model.
-        bounds: (2, nq) of the coordinates.
-        parents: (nv,) the next velocity towards the root, or −1.
-        signs: (nv,) see `contact_kinematics.fill_jacobian`.
+    Carrier is the frame of the surface, 0 for the world; bounds are (2, nq), parents (nv,) the next
+    velocities towards the root, or −1, signs (nv,) as in `contact_kinematics.fill_jacobian`.
     """
     arrays = tree.given | {
         "frame": placement_of_frame(model, frame),

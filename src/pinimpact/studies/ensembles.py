@@ -290,9 +290,7 @@ def _check_impact(sampling: Sampling, reduce: Any, keep: Any, options: Mapping[s
 class _Pieces:
     """Divides the samples that are missing into chunks of about `CHUNK_SECONDS`, by the time of the last.
 
-    Args:
-        known: Number of samples of each chunk that is finished, by its first sample.
-        samples: Number of all samples.
+    `known` has the number of samples of each chunk that is finished, by its first sample.
     """
 
     def __init__(self, known: Mapping[int, int], samples: int) -> None:

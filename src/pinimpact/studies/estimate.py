@@ -116,16 +116,9 @@ def fit(
 ) -> Identified:
     """Fit parameters, and return them with their covariance by groups. (I2)–(I5)
 
-    Args:
-        residual: Whitened residuals (n, m) for parameters (p,).
-        jacobian: Their derivatives (n, m, p).
-        free: Bounds of each parameter, checked.
-        group: (n,) index of the group of each row, from 0.
-        loss: A name of `LOSSES`.
-        reason: Clause on why a parameter is not determined, for its name and the solution.
-        trial: The residuals, where they are cheaper without preparing derivatives, or fewer.
-        tolerance: Of `scipy.optimize.least_squares`, for cost and parameters, relative.
-        **known: Further attributes of the result.
+    Whitened residuals (n, m) of parameters (p,) have the jacobian (n, m, p); `trial` are fewer residuals, or
+    cheaper ones without preparing derivatives. The tolerance is that of `least_squares` for cost and
+    parameters, relative. Other arguments as in `with_covariance`.
     """
     rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
     low, high = np.array(list(free.values())).T
@@ -200,16 +193,10 @@ def with_covariance(
 ) -> Identified:
     """Return a solution with its covariance by groups. (I3)–(I5)
 
-    Args:
-        solution: The parameters, `x`, with what the optimiser says.
-        free: Bounds of each parameter.
-        residuals: (n, m) whitened residuals.
-        slopes: (n, m, p) their derivatives.
-        group: (n,) index of the group of each row, from 0.
-        loss: A name of `LOSSES`.
-        scale: Residual from which on the loss gives less weight.
-        reason: Clause on why a parameter is not determined, for its name and the solution.
-        **known: Further attributes of the result.
+    Its parameters have the bounds `free`, whitened residuals (n, m) and their slopes (n, m, p); group (n,) is
+    the index of the group of each row, from 0, scale the residual from which on the loss gives less weight.
+    `reason` returns a clause on why a parameter is not determined, for its name and the solution; `known` are
+    further attributes of the result.
     """
     low, high = np.array(list(free.values())).T
     parts = _by_group(slopes, residuals, LOSSES[loss], scale if scale > 0.0 else 1.0, group)
@@ -325,17 +312,9 @@ def checked_bounds(
     labels: Sequence[str] = (),
     joints: Iterable[str] = (),
 ) -> dict[str, tuple[float, float]]:
-    """Return the bounds of free parameters, checked against the widest possible ones.
+    """Return the checked bounds of free parameters, "friction" for all contacts or "friction:foot".
 
-    Args:
-        free: Bounds by name, "friction" for that of all contacts, "friction:foot" for that of one.
-        known: The widest bounds of each kind of parameter.
-        labels: Names of contacts that a parameter may be of.
-        joints: Names of joints that a stiffening may be of.
-
-    Raises:
-        InputError: No parameters, or bounds that are not two rising numbers in the possible range.
-        UnknownNameError: An unknown parameter, contact or joint.
+    The widest bounds of each kind are `known`; labels and joints are those that parameters may be of.
     """
     if not isinstance(free, Mapping) or not free:
         raise InputError(

@@ -67,13 +67,10 @@ class Flight:
 
 
 def torque_free(R: Array, w: Array, inertia: Array, times: Array) -> tuple[Array, Array]:
-    """Return rotations (t, k, 3, 3) and spins (t, k, 3) of k free bodies at times from now. (I6)
+    """Return rotations (t, k, 3, 3) and spins (t, k, 3) of k free bodies at times (t,) from now. (I6)
 
-    Args:
-        R: (k, 3, 3) body to world.
-        w: (k, 3) angular velocity, body axes.
-        inertia: (3, 3) about the centre of mass, body axes.
-        times: (t,) times from now, in any order.
+    R (k, 3, 3) are body to world, w (k, 3) angular velocities, inertia (3, 3) about the centre of mass, in
+    body axes.
     """
     momentum, inverse = np.einsum("kij,jl,kl->ki", R, inertia, w)[:, None], np.linalg.inv(inertia)
 
@@ -96,12 +93,8 @@ def torque_free(R: Array, w: Array, inertia: Array, times: Array) -> tuple[Array
 def fit_flight(times: Array, com: Array, rotations: Rotation, instant: float, body: Body) -> Flight:
     """Return the flight that is closest to recorded poses in the sense of least squares. (I7)
 
-    Args:
-        times: (n,) times, at least three, rising.
-        com: (n, 3) centres of mass.
-        rotations: n rotations, body to world.
-        instant: Time of the state that is fitted.
-        body: The body.
+    At rising times (n,), three at least, with centres of mass (n, 3) and n rotations, body to world; its
+    state is that at the instant.
     """
     dt = times - instant
     line = np.column_stack([np.ones_like(dt), dt])

@@ -62,9 +62,8 @@ class FoundImpacts:
 def as_found(found: Any, scene: Scene, contact: Any, group: Any) -> FoundImpacts:
     """Return (q, v⁻, v⁺) of a scene's robot as `FoundImpacts`, checked; those given are checked too.
 
-    Raises:
-        InputError: Wrong shapes or numbers, contacts that are not given.
-        UnknownNameError: A contact that the scene does not have.
+    Raises `InputError` for wrong shapes or numbers, `UnknownNameError` for contacts that the scene does not
+    have.
     """
     labels = [one.label for one in scene.contacts]
     if not isinstance(found, FoundImpacts):

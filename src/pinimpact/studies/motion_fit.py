@@ -178,10 +178,8 @@ def _no_reason(name: str, x: Array) -> str:
 def _without_jumps(result: Identified, ahead: Array, behind: Array) -> None:
     """Take away the intervals of parameters that motions determine whose residuals jump. (I12)
 
-    Args:
-        result: The fit; its covariance and its sentences are changed.
-        ahead: (n, m, p) differences of the residuals of n motions by a step up of each parameter.
-        behind: Those by a step from below.
+    `ahead` and `behind` (n, m, p) are differences of the residuals of n motions by a step up of each
+    parameter, and from a step below; covariance and sentences of the result are changed.
     """
     slope = np.linalg.norm(ahead + behind, axis=1)
     jumps = np.linalg.norm(ahead - behind, axis=1) > CURVED * slope

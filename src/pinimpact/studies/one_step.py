@@ -91,15 +91,7 @@ class _Slip(NamedTuple):
 
 
 def solve_one_step(W: Array, velocity: Array, mu: Array, e: Array, model: str) -> OneStepSolution:
-    """Solve N impacts in one step.
-
-    Args:
-        W: (N, 3, 3).
-        velocity: (N, 3) before the impact.
-        mu: (N,) coefficients of friction.
-        e: (N,) coefficients of restitution.
-        model: A name of `ONE_STEP`.
-    """
+    """Solve N impacts in one step by a model of `ONE_STEP`: W (N, 3, 3), velocity (N, 3), μ and e (N,)."""
     count = len(velocity)
     hits = velocity[:, 2] < 0.0
     impulse = np.zeros((count, 3))

@@ -29,20 +29,9 @@ def _settings(settings: pin.ADMMSolverSettings | pin.PGSSolverSettings) -> None:
 def solve_constraint(
     delassus: ArrayLike, velocity: ArrayLike, friction: float, solver: str = "admm"
 ) -> tuple[Array, Array]:
-    """Solve the impact of e = 0 as a complementarity problem with Pinocchio (4.1 or later).
+    """Return v⁺ (3,) and P (3,) of the impact of e = 0 as a complementarity problem with Pinocchio.
 
-    Args:
-        delassus: (3, 3) W [1/kg].
-        velocity: (3,) pre-impact contact velocity [m/s].
-        friction: μ.
-        solver: ``"admm"`` or ``"pgs"``.
-
-    Returns:
-        v⁺ (3,) and P (3,); NaN where the solver does not converge.
-
-    Raises:
-        InputError: Numbers that cannot be used.
-        UnknownNameError: No such solver.
+    By the solver "admm" or "pgs" of Pinocchio 4.1 or later; NaN where it does not converge.
     """
     W = finite_array("delassus", delassus, (3, 3))
     v = finite_array("velocity", velocity, (3,))

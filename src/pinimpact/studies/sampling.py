@@ -27,18 +27,10 @@ DESIGNS = ("random", "sobol", "halton", "saltelli")
 
 
 class Sampling:
-    """The parameters of an ensemble and their distributions.
+    """The parameters of an ensemble and their distributions; arguments as of `ensemble`.
 
-    Args:
-        scene, q0, v0: As of `simulate`; what varies is changed about them.
-        over: Distributions by parameter, see `ensemble`.
-        samples: Number of samples; of the design "saltelli" it is rounded up to a multiple of d + 2.
-        seed: Seed of all draws.
-        design: One of `DESIGNS`.
-
-    Attributes:
-        names: (d,) names of the numbers that vary.
-        samples: Number of samples.
+    `names` (d,) are those of the numbers that vary; the number of `samples` of the design "saltelli" is
+    rounded up to a multiple of d + 2.
     """
 
     def __init__(

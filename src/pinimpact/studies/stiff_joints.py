@@ -49,16 +49,10 @@ class StiffJoints(NamedTuple):
 def stiff_joints(
     names: Sequence[str], scene: Scene, of_impacts: Sequence[ContactMatrices], root: Array
 ) -> StiffJoints:
-    """Return the stiff joints of impacts.
+    """Return the stiff joints of impacts, by parameters "stiffening", of all joints, or "stiffening:elbow".
 
-    Args:
-        names: Parameters, "stiffening" for all joints or "stiffening:elbow" for one.
-        scene: The robot.
-        of_impacts: The matrices of each impact.
-        root: (N, m, nv) by which residuals of velocities are whitened.
-
-    Raises:
-        InputError: Held contacts, or a model without joints to stiffen.
+    root (N, m, nv) whitens residuals of velocities. Raises `InputError` for held contacts, or without joints
+    to stiffen.
     """
     if scene.held:
         raise InputError(

@@ -101,14 +101,8 @@ def _parts(value: Any) -> Iterable[Any]:
 class StudyFolder:
     """The files of an ensemble; chunks are written aside and renamed, so that each is whole or missing.
 
-    Args:
-        path: The folder, created if necessary.
-        sampling: What is sampled.
-        settings: What else the rows depend on.
-        resume: Whether to continue a study that is there.
-
-    Raises:
-        InputError: A folder with another study, or one that is there without `resume`; no pyarrow.
+    The folder is created if necessary; `settings` are what its rows depend on beside the sampling. Raises
+    `InputError` for a folder with another study, or with this one unless `resume`; without pyarrow.
     """
 
     def __init__(self, path: Any, sampling: Sampling, settings: Mapping[str, Any], resume: bool) -> None:

@@ -50,18 +50,10 @@ def open_page(
     screenshot: str | Path | None = None,
     timeout: float = 600.0,
 ) -> Opened:
-    """Open a page from a file, without any network.
+    """Open a page from a file, without any network, in a window of a size [px].
 
-    Args:
-        browser: The result of `find_browser`.
-        page: The file.
-        fragment: The part of its address after #.
-        size: Width and height of the window [px].
-        screenshot: File for a picture (PNG), instead of the document.
-        timeout: Largest time [s].
-
-    Raises:
-        subprocess.CalledProcessError, subprocess.TimeoutExpired: The browser fails.
+    `fragment` is the part of its address after #; a screenshot is written to a PNG file instead of returning
+    the document. Errors as in `subprocess.run`, if it takes longer than the timeout [s].
     """
     address = Path(page).absolute().as_uri() + (f"#{fragment}" if fragment else "")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:

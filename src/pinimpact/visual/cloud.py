@@ -22,11 +22,7 @@ def cloud_as_data(
 ) -> dict[str, Any] | None:
     """Return motions as data for the player, and their last configurations; None without any.
 
-    Args:
-        model: The robot.
-        others: Its motions.
-        start: First time of the replay [s].
-        end: Last time [s]. A motion that ended earlier stays where it is.
+    From the start to the end of the replay [s]; a motion that ended earlier stays where it is.
     """
     if not others:
         return None

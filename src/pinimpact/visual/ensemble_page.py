@@ -23,12 +23,7 @@ img { max-width: 100% }
 
 
 def ensemble_page(facts: Mapping[str, Any], figure: Figure) -> str:
-    """Return the page of an ensemble.
-
-    Args:
-        facts: What `Ensemble.facts` returns.
-        figure: The distributions of its results.
-    """
+    """Return the page of an ensemble, from `Ensemble.facts` and a figure of its distributions."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=110)
     numbers = {name: row for name, row in facts["results"].items() if "50 %" in row}

@@ -44,13 +44,8 @@ def frame_times(
 ) -> Array:
     """Return the times of the frames, in order; that of an impact occurs twice, before and after it.
 
-    Args:
-        start: Of the motion [s].
-        end: Of the motion [s].
-        speed: Seconds of motion per second of replay, away from impacts.
-        impacts: Times of all impacts.
-        slow: Times of those at which the replay slows down.
-        width: See `width_of_slowness`.
+    From `start` to `end` of the motion [s], at a speed away from impacts in seconds of motion per second of
+    replay. `slow` are the times of the impacts at which it slows down; for the width see `width_of_slowness`.
     """
     count = math.ceil((end - start) * FRAMES_PER_SECOND / speed) + 1
     even = np.linspace(start, end, max(2, min(count, MAX_FRAMES)))

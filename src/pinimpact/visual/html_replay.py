@@ -179,14 +179,7 @@ def replay(
 def cloud_replay(
     robot: Any, trajectory: Trajectory, others: Sequence[Trajectory], path: str | Path | None
 ) -> Replay:
-    """Return the replay of a motion among others of the same robot, which are translucent.
-
-    Args:
-        robot: As of `replay`.
-        trajectory: The motion in the middle, with its impacts.
-        others: The other motions.
-        path: As of `replay`.
-    """
+    """Return the replay of a motion among others of the same robot, which are translucent; see `replay`."""
     if path is not None:
         output_file("path", path)
     shown = Replay(_motion_page(robot, trajectory, None, 1.0, 20.0, others), None)

@@ -135,14 +135,9 @@ def impact_mark(
     time: float = 0.0,
     slow: bool = True,
 ) -> ImpactMark:
-    """Return the data of an impact for a replay.
+    """Return the data of a `Hit` or an `ImpactRecord` for a replay, with the whole path if it is `slow`.
 
-    Args:
-        impact: A `Hit` or an `ImpactRecord`.
-        source: Name of the contact or joint limit.
-        places: Point (3,) and axes (3, 3) of each contact that takes part, by name.
-        time: Time [s].
-        slow: Whether the replay slows down for it; then it has the whole path.
+    `places` are point (3,) and axes (3, 3) of each contact that takes part, by name.
     """
     problem, solution = impact.problem, impact.solution
     marks = [contact_mark(name, *place, problem, solution, slow) for name, place in places.items()]
@@ -161,14 +156,7 @@ def impact_mark(
 def group_mark(
     impacts: Sequence[ImpactRecord], places: Mapping[str, tuple[Array, Array]], slow: bool, source: str
 ) -> ImpactMark:
-    """Return the data of an impact at several contacts for a replay.
-
-    Args:
-        impacts: One record per contact.
-        places: As in `impact_mark`.
-        slow: As in `impact_mark`.
-        source: Names of the contacts.
-    """
+    """Return the data of an impact at several contacts for a replay, from one record per contact."""
     problems = [impact.problem for impact in impacts]
     marks = [
         contact_mark(impact.source, *places[impact.source], impact.problem, impact.solution, slow)

@@ -63,13 +63,7 @@ class Recorder:
 
 
 def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
-    """Return the HTML of a replay.
-
-    Args:
-        title: Title of the page.
-        commands: The commands stored by a `Recorder`.
-        motion: Data of the player; see page/player.js.
-    """
+    """Return the HTML of a replay, from the commands of a `Recorder` and data for page/player.js."""
     import meshcat
 
     viewer = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"

@@ -141,9 +141,8 @@ def joints_as_data(poses: Array, wanted: Sequence[int]) -> dict[str, Any]:
 def skeleton(model: pin.Model) -> tuple[list[tuple[int, int]], list[list[float]]]:
     """Return a robot without shapes as lines.
 
-    Returns:
-        Pairs of joint and parent, except for a base that moves away from the world's origin; and each frame
-        that is away from its joint as the joint and a point in its axes.
+    These are pairs of joint and parent, except for a base that moves away from the world's origin; and each
+    frame that is away from its joint as the joint and a point in its axes.
     """
     links = [
         (int(model.parents[joint]), joint)

@@ -40,13 +40,7 @@ def bodies_of(contact: Contact) -> str:
 
 
 def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) -> list[dict[str, Any]]:
-    """Return the collision shapes in contact as data for the player, with their times.
-
-    Args:
-        robot: The robot; without collision shapes none is highlighted.
-        trajectory: The motion.
-        contacts: The contacts that are drawn.
-    """
+    """Return the collision shapes in contact as data for the player, with their times."""
     shapes = getattr(robot, "collision_model", None)
     if not isinstance(shapes, pin.GeometryModel):
         return []

@@ -17,9 +17,7 @@ from ..contact_space.solve import solve_impact
 def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
     """Return the path of an impact, with points close enough for straight lines between them.
 
-    Args:
-        problem: The problem.
-        solution: Its solution; one without a path is solved again with ``record=True``, by "exact".
+    A solution without a path is solved again with ``record=True``, by "exact".
     """
     path = solution.path
     if path is None:
@@ -36,10 +34,6 @@ def many_path(problem: ImpactProblem, solution: ManySolution) -> ManyPath | None
 
     A solution without ``record=True`` is solved again; the result must then be the same, since options of the
     policy are not known here.
-
-    Args:
-        problem: The problem.
-        solution: Its solution.
     """
     path = solution.path
     if path is None:

@@ -34,17 +34,11 @@ def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
 def surface_as_data(
     model: pin.Model, surface: Surface, poses: Array, points: Array, scale: float
 ) -> dict[str, Any]:
-    """Return a surface as data for the player.
+    """Return a surface as data for the player, for poses (frames, joints, 7) in a scene of a size [m].
 
     Its material has the velocity "slide" in the middle of the drawn shape and the angular velocity "spin",
-    both in the axes of that shape [m/s, rad/s].
-
-    Args:
-        model: The robot.
-        surface: The surface.
-        poses: (frames, joints, 7) of the joints.
-        points: (k, frames, 3) positions of the contacts with it, in world axes.
-        scale: The size of the scene [m].
+    both in the axes of that shape [m/s, rad/s]. The points (k, frames, 3) are contacts with it, in world
+    axes.
     """
     joint, place = carrier(model, surface)
     views = [

@@ -28,12 +28,7 @@ class Curve:
 
 
 def draw_work_precision(panels: Mapping[str, Sequence[Curve]], path: str | Path) -> None:
-    """Draw error against time as PNG.
-
-    Args:
-        panels: The curves of each panel, by its title; curves drawn later lie below earlier ones.
-        path: File to write.
-    """
+    """Draw error against time as PNG: curves of panels by title, later ones below earlier ones."""
     columns = min(COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
     figure = Figure(figsize=(3.4 * columns + 0.6, 3.0 * rows + 0.9), layout="constrained")

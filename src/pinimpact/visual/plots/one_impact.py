@@ -34,15 +34,9 @@ class Solved(NamedTuple):
 
 
 def solved(impact: Impact, contact: int | None = None) -> OneImpact:
-    """Return the impact to draw; a problem is solved first.
+    """Return the impact to draw, of one contact by its index if it is at many; a problem is solved first.
 
-    Args:
-        impact: The impact.
-        contact: Index of the contact to draw, for an impact at many contacts.
-
-    Raises:
-        InputError: Neither a problem nor an impact; no such contact; an impact at many contacts whose policy
-            has no path.
+    Raises `InputError` for what is none, no such contact, and many contacts by a policy without a path.
     """
     if isinstance(impact, ImpactProblem):
         impact = Solved(impact, solve_impact(impact, record=True))

@@ -130,12 +130,7 @@ def regime_map(
 
 
 def classified(status: Integers, flags: Integers) -> tuple[Integers, list[Bools]]:
-    """Return the index in `REGIMES` of each impact, and where each of `MARKED` applies.
-
-    Args:
-        status: (N,) values of `Status`.
-        flags: (N,) values of `Flag`.
-    """
+    """Return the index in `REGIMES` of each of N impacts, and where each of `MARKED` applies."""
     codes = np.full(status.shape, 2)
     codes[(flags & int(Flag.STICK)) != 0] = 3
     codes[(flags & int(Flag.SLIP_RESUMED)) != 0] = 4
