@@ -202,6 +202,21 @@ def test_a_plank_slides_on_an_edge_without_friction():
         assert abs(gap(*pair.placed(data)).value) < 1e-8
 
 
+def test_a_ball_slides_off_a_dome_where_the_tolerance_is_loose():
+    """What the contact point drifts within a step is no overlap beyond it. It leaves at cos θ = ⅔ cos θ₀."""
+    ball = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1), name="ball")
+    dome = pin.GeometryObject("dome", 0, pin.SE3.Identity(), coal.Sphere(0.3))
+    ball.collision_model.addGeometryObject(dome)
+    scene = Scene(ball, Contact(geometry="ball", plane=Shape("dome")))
+    start = pose(0.4 * math.sin(0.2), 0.0, 0.4 * math.cos(0.2))
+    trajectory = run(scene, start, np.zeros(6), 0.5, audit=1e-4, rtol=1e-4, atol=1e-6)
+    (slides,) = trajectory.modes
+    q, v = trajectory.at(slides.end)
+    assert not trajectory.stepped
+    assert q[2] / math.hypot(q[0], q[2]) == pytest.approx(2.0 / 3.0 * math.cos(0.2), abs=1e-4)
+    assert v[:3] @ v[:3] == pytest.approx(2.0 / 3.0 * math.cos(0.2) * G * 0.4, rel=1e-4)
+
+
 def test_a_box_slides_off_a_table():
     robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="brick")
     contact = Contact(geometry="brick", plane=BLOCK)

@@ -146,7 +146,7 @@ class ShapeWatch(TouchingPoints):
             best = Meeting(advanced.time, watched.number, False)
         if best is None:
             last = at(end)
-            depth = -gap(last.a, last.b).value
+            depth = -gap(last.a, last.b).value - self._slack(watched, (last.a, last.b))
             if depth > CLOSE * watched.size:
                 raise IrregularMotionError(
                     f"contacts: {watched.label!r} penetrates by {depth:.3g} m at t = {end:.6g} s, "
