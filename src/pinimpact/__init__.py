@@ -10,121 +10,64 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .contact_space.batch import BatchSolution, solve_impacts
-    from .contact_space.derivatives import Boundary, Derivatives
-    from .contact_space.laws import LAWS
-    from .contact_space.many_solution import ManyPath, ManySolution
-    from .contact_space.methods import METHODS, Method, register_method
-    from .contact_space.problem import ImpactProblem
-    from .contact_space.simultaneous import POLICIES
-    from .contact_space.solution import Path, Segment, Solution, Work
-    from .contact_space.solve import solve_impact
-    from .errors import (
-        BoundReachedWarning,
-        InputError,
-        JointLimitWarning,
-        LawError,
-        ModelError,
-        PinimpactError,
-        SimulationError,
-        SteppedWarning,
-        UnknownNameError,
-        UnstoppableApproachError,
+    from .contact_space.batch import BatchSolution as BatchSolution, solve_impacts as solve_impacts
+    from .contact_space.derivatives import Boundary as Boundary, Derivatives as Derivatives
+    from .contact_space.laws import LAWS as LAWS
+    from .contact_space.many_solution import ManyPath as ManyPath, ManySolution as ManySolution
+    from .contact_space.methods import (
+        METHODS as METHODS,
+        Method as Method,
+        register_method as register_method,
     )
-    from .geometry.plane import Plane
-    from .geometry.sphere import Sphere
-    from .robot.batch import Hits, impacts
-    from .robot.contact import Contact
-    from .robot.derivatives import ImpactDerivatives, impact_derivatives, impact_rows
-    from .robot.held import HeldContactWarning
-    from .robot.inverse_kinematics import place_in_contact
-    from .robot.loading import load_robot
-    from .robot.many_derivatives import ManyImpactDerivatives
-    from .robot.many_impact import ManyHit
-    from .robot.matrices import ContactMatrices, contact_matrices
-    from .robot.pinocchio_bridge import PinocchioLayoutWarning
-    from .robot.robot_impact import Hit, impact
-    from .robot.solids import Box, Shape
-    from .scene.controls import JointPD
-    from .scene.events import Event
-    from .scene.records import Sensitivity
-    from .scene.saltation import saltation_matrix
-    from .scene.scene import Scene
-    from .scene.sensitivities import Linearization
-    from .scene.simulation import simulate
-    from .scene.stepper import Stepper
-    from .scene.trajectory import Trajectory
-    from .status import EFFECTS, Flag, Status
-    from .studies.ensemble_result import Ensemble
-    from .studies.ensembles import ensemble
-    from .visual.html_replay import replay
+    from .contact_space.problem import ImpactProblem as ImpactProblem
+    from .contact_space.simultaneous import POLICIES as POLICIES
+    from .contact_space.solution import Path as Path, Segment as Segment, Solution as Solution, Work as Work
+    from .contact_space.solve import solve_impact as solve_impact
+    from .errors import (
+        BoundReachedWarning as BoundReachedWarning,
+        InputError as InputError,
+        JointLimitWarning as JointLimitWarning,
+        LawError as LawError,
+        ModelError as ModelError,
+        PinimpactError as PinimpactError,
+        SimulationError as SimulationError,
+        SteppedWarning as SteppedWarning,
+        UnknownNameError as UnknownNameError,
+        UnstoppableApproachError as UnstoppableApproachError,
+    )
+    from .geometry.plane import Plane as Plane
+    from .geometry.sphere import Sphere as Sphere
+    from .robot.batch import Hits as Hits, impacts as impacts
+    from .robot.contact import Contact as Contact
+    from .robot.derivatives import (
+        ImpactDerivatives as ImpactDerivatives,
+        impact_derivatives as impact_derivatives,
+        impact_rows as impact_rows,
+    )
+    from .robot.held import HeldContactWarning as HeldContactWarning
+    from .robot.inverse_kinematics import place_in_contact as place_in_contact
+    from .robot.loading import load_robot as load_robot
+    from .robot.many_derivatives import ManyImpactDerivatives as ManyImpactDerivatives
+    from .robot.many_impact import ManyHit as ManyHit
+    from .robot.matrices import ContactMatrices as ContactMatrices, contact_matrices as contact_matrices
+    from .robot.pinocchio_bridge import PinocchioLayoutWarning as PinocchioLayoutWarning
+    from .robot.robot_impact import Hit as Hit, impact as impact
+    from .robot.solids import Box as Box, Shape as Shape
+    from .scene.controls import JointPD as JointPD
+    from .scene.events import Event as Event
+    from .scene.records import Sensitivity as Sensitivity
+    from .scene.saltation import saltation_matrix as saltation_matrix
+    from .scene.scene import Scene as Scene
+    from .scene.sensitivities import Linearization as Linearization
+    from .scene.simulation import simulate as simulate
+    from .scene.stepper import Stepper as Stepper
+    from .scene.trajectory import Trajectory as Trajectory
+    from .status import EFFECTS as EFFECTS, Flag as Flag, Status as Status
+    from .studies.ensemble_result import Ensemble as Ensemble
+    from .studies.ensembles import ensemble as ensemble
+    from .visual.html_replay import replay as replay
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "EFFECTS",
-    "LAWS",
-    "METHODS",
-    "POLICIES",
-    "BatchSolution",
-    "BoundReachedWarning",
-    "Boundary",
-    "Box",
-    "Contact",
-    "ContactMatrices",
-    "Derivatives",
-    "Ensemble",
-    "Event",
-    "Flag",
-    "HeldContactWarning",
-    "Hit",
-    "Hits",
-    "ImpactDerivatives",
-    "ImpactProblem",
-    "InputError",
-    "JointLimitWarning",
-    "JointPD",
-    "LawError",
-    "Linearization",
-    "ManyHit",
-    "ManyImpactDerivatives",
-    "ManyPath",
-    "ManySolution",
-    "Method",
-    "ModelError",
-    "Path",
-    "PinimpactError",
-    "PinocchioLayoutWarning",
-    "Plane",
-    "Scene",
-    "Segment",
-    "Sensitivity",
-    "Shape",
-    "SimulationError",
-    "Solution",
-    "Sphere",
-    "Status",
-    "SteppedWarning",
-    "Stepper",
-    "Trajectory",
-    "UnknownNameError",
-    "UnstoppableApproachError",
-    "Work",
-    "contact_matrices",
-    "ensemble",
-    "impact",
-    "impact_derivatives",
-    "impact_rows",
-    "impacts",
-    "load_robot",
-    "place_in_contact",
-    "register_method",
-    "replay",
-    "saltation_matrix",
-    "simulate",
-    "solve_impact",
-    "solve_impacts",
-]
 
 _HOMES = {
     "contact_space.batch": ("BatchSolution", "solve_impacts"),
@@ -178,6 +121,8 @@ _HOMES = {
 }
 _PACKAGES = ("studies", "visual")
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
