@@ -124,11 +124,7 @@ def is_part(kernel: Any) -> bool:
 
 
 def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
-    """Return the jobs for some kernels, those with the most dependants first.
-
-    Args:
-        wanted: Kernels and their types.
-    """
+    """Return the jobs for some kernels and their types, those with the most dependants first."""
     given = dict(wanted)
     inside: dict[Any, set[Any]] = {}  # what goes into the code of each kernel
     order: list[Any] = []

@@ -160,11 +160,7 @@ def _types(kernel: Any, arguments: Sequence[Any]) -> tuple[Any, ...]:
 
 
 class _Compile:
-    """Compiles a kernel that Python calls on its first call, with helper processes if it takes long.
-
-    Attributes:
-        alone: Numba's function in its place.
-    """
+    """Compiles a kernel that Python calls on its first call, with helper processes if it takes long."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel

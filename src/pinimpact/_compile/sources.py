@@ -50,11 +50,7 @@ _IMPORTED = {
 
 
 class _Memory:
-    """Results of parsing, by module and hash of its source; kept in a file, since parsing takes time.
-
-    Attributes:
-        known: Results so far.
-    """
+    """Results of parsing, `known` by module and hash of its source; kept in a file, for it takes time."""
 
     def __init__(self) -> None:
         self._file: Path | None = None

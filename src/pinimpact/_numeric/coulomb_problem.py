@@ -217,9 +217,8 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
 
     With W + ε C instead of W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's
     method converges to the nearest solution. Where the first is not found, those of larger ε lead to it, from
-    one to the next. Other arguments and the result are as in `solve_coulomb`; x
-    should have the symmetry of the problem. C is diagonal, `compliance` (nc,) for each contact's rows, up to
-    a factor.
+    one to the next. C is diagonal, `compliance` (nc,) for each contact's rows, up to a factor; x should have
+    the symmetry of the problem.
     """
     size, unit = len(free), 0.0
     for a in range(3 * len(mu)):

@@ -12,10 +12,9 @@ from .tolerances import RANK as RANK  # for those who solve
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float)
 @external
 def solve(system, target, solution, rank):
-    """Solve by elimination with complete pivoting.
+    """Solve by elimination with complete pivoting; return the sign of the determinant.
 
-    Returns:
-        The sign of the determinant, zero if a pivot is not above the part `rank` of the largest one.
+    It is zero if a pivot is not above the part `rank` of the largest one.
     """
     size = len(target)
     matrix = system.copy()

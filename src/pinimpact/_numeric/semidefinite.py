@@ -59,10 +59,9 @@ def forward(lower, order, rank, right, y):
 @declared(FLOAT_ROWS, FLOATS, FLOATS)
 @external
 def solve_definite(matrix, target, solution):
-    """Solve a system with a positive semidefinite matrix, in half the time of `elimination.solve`.
+    """Solve a system with a positive semidefinite matrix; return whether it is definite, else none is found.
 
-    Returns:
-        Whether it is definite; there is no solution otherwise.
+    In half the time of `elimination.solve`.
     """
     size = len(target)
     lower, order, part = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty(size)

@@ -14,7 +14,7 @@ from ..checks import near_matches
 from ..errors import PinimpactError, SimulationError, UnknownNameError
 from ..tables import write_table
 from .output_folder import make_folder, table_files
-from .terminal import INTERRUPTED, compiling_shown, plain_errors, print_result, working
+from .terminal import INTERRUPTED, plain_errors, print_result, simulating, working
 
 OUT = click.option(
     "-o",
@@ -111,12 +111,9 @@ def demo(
             "files": {"hodograph": str(picture), "replay": str(page)},
         },
         lambda: impact_report(shown.robot.model, contact, impact, remarks),
-        as_json,
-        quiet,
+        *(as_json, quiet),
+        {"Hodograph": picture, "Replay (slowed down five times; open in a browser)": page},
     )
-    if not (as_json or quiet):
-        click.echo(f"Hodograph: {picture}")
-        click.echo(f"Replay (slowed down five times; open in a browser): {page}")
 
 
 @main.command()
@@ -226,9 +223,6 @@ def run(
     is the path of a scene file, or the name of one that is part of pinimpact. Ctrl-C ends the run early, with
     exit status 130; results up to then are written.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from .report import run_facts, run_report
     from .scene_loader import load_scene
 
@@ -237,15 +231,13 @@ def run(
     tables = {} if output is None else table_files(output, force)
     folder = make_folder(out, RUN_FILES, force)
     stopped: PinimpactError | None = None
-    with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
-        task = bar.add_task("simulating", total=loaded.file.duration)
-        try:
-            with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
-                trajectory = loaded.run(lambda t, _: bar.update(task, description="simulating", completed=t))
-        except SimulationError as error:
-            if error.partial is None:
-                raise
-            trajectory, stopped = error.partial, error
+    try:
+        with simulating(quiet) as progress:
+            trajectory = loaded.run(progress)
+    except SimulationError as error:
+        if error.partial is None:
+            raise
+        trajectory, stopped = error.partial, error
     files = {what: str(path) for what, path in loaded.write(trajectory, folder)}
     for rows, file in tables.items():
         write_table(file, trajectory.columns(rows))
@@ -253,12 +245,8 @@ def run(
     print_result(
         lambda: {**run_facts(trajectory), "files": files},
         lambda: run_report(trajectory, every),
-        as_json,
-        quiet,
+        *(as_json, quiet, files),
     )
-    if not (as_json or quiet):
-        for what, path in files.items():
-            click.echo(f"{what}: {path}")
     if stopped is not None:
         raise stopped
     if not trajectory.complete:
@@ -284,28 +272,16 @@ def run_ensemble(
     Parquet files, chunk by chunk, and a page with the summary and plots. After Ctrl-C or a crash, --resume
     continues.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from .study_file import load_study
 
     if resume and out is None:
         raise click.UsageError("--resume needs -o, the folder of the study.")
     loaded = load_study(study)
     folder = make_folder(out, ENSEMBLE_FILES, force=out is not None)  # a study that is there is not changed
-    with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
-        task = bar.add_task("simulating", total=loaded.file.samples)
-        with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
-            found = loaded.run(
-                folder,
-                workers,
-                resume,
-                lambda done, total: bar.update(task, description="simulating", completed=done, total=total),
-            )
+    with simulating(quiet) as progress:
+        found = loaded.run(folder, workers, resume, progress)
     page = found.save_summary(folder / "summary.html")
-    print_result(found.facts, found.summary, as_json, quiet)
-    if not (as_json or quiet):
-        click.echo(f"Samples: {folder}\nSummary: {page}")
+    print_result(found.facts, found.summary, as_json, quiet, {"Samples": folder, "Summary": page})
 
 
 @main.command()
@@ -392,6 +368,5 @@ def cost(
     picture, figures = (folder / name for name in COST_FILES)
     report.plot(picture)
     report.save(figures)
-    print_result(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
-    if not (as_json or quiet):
-        click.echo(f"Plot: {picture}\nMeasurements: {figures}")
+    files = {"Plot": picture, "Measurements": figures}
+    print_result(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet, files)

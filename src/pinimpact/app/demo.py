@@ -417,11 +417,7 @@ def _hold_posture(body: Body, q: Array) -> JointPD:
 
 
 def _run(scene: Scene, q: Array, v: Array, duration: float) -> tuple[Trajectory, str | None]:
-    """Return the motion, and why it could not continue, if it could not.
-
-    Raises:
-        KeyboardInterrupt: It was interrupted.
-    """
+    """Return the motion, and why it could not continue, if it could not; `KeyboardInterrupt` passes on."""
     try:
         trajectory = simulate(scene, q, v, duration)
     except SimulationError as error:

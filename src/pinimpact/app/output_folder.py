@@ -44,11 +44,7 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
 
 
 def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "impacts"], Path]:
-    """Return the files of a run's tables.
-
-    Raises:
-        InputError: They cannot be written, have an unknown suffix, or exist already.
-    """
+    """Return the files of a run's tables, or raise `InputError`: they exist already, or cannot be written."""
     output = check_table_path("output", output)
     impacts = output.with_stem(f"{output.stem}-impacts")
     taken = [path.name for path in (output, impacts) if path.exists()]

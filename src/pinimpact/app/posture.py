@@ -53,15 +53,11 @@ class Strike:
 
 
 class Body:
-    """A robot as the corners of its visual shapes, or as its frames if it has none.
+    """A robot as the corners of its visual shapes, or as its frames if it has none (`bare`).
 
-    Attributes:
-        model: The robot's.
-        data: Its data, with placements of the last posture.
-        size: Diagonal of its bounding box [m].
-        solids: Joint of each shape, and its corners (k, 3) in the joint's axes [m].
-        bare: Whether it has no shapes.
-        hulls: The same shapes as coal objects, and their placements in the joints' axes.
+    `size` is the diagonal of its bounding box [m], `solids` the joint of each shape and its corners (k, 3) in
+    that joint's axes, `hulls` the same as coal objects with their placements there; `data` has the placements
+    of the last posture.
     """
 
     def __init__(self, robot: pin.RobotWrapper) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from ..contact_space.solution import CAUSES
 from ..robot.contact import Contact
 from ..robot.forest import data_of
 from ..robot.pinocchio_bridge import kinetic_energy
-from ..scene.records import ImpactRecord, Note, group_notes
+from ..scene.records import ImpactRecord, group_notes
 from ..scene.trajectory import Trajectory
 from ..status import Flag
 
@@ -99,9 +100,7 @@ def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> di
         "v_after": impact.v_after.tolist(),
         "impulse": solution.impulse.tolist(),
         "impulse_world": impact.impulse_world.tolist(),
-        "segments": [
-            {"mode": s.mode, "phase": s.phase, "start": s.start, "end": s.end} for s in solution.segments
-        ],
+        "segments": [asdict(segment) for segment in solution.segments],
         "work": {cause: getattr(work, cause) for cause in (*CAUSES, "total")},
         "effects": list(solution.effects),
         "status": solution.status.name.lower(),
@@ -146,23 +145,15 @@ def run_facts(trajectory: Trajectory) -> dict[str, Any]:
             "special": special.split(", ") if special else [],
         }
 
-    def note(record: Note) -> dict[str, Any]:
-        return {"time": record.time, "text": record.text}
-
     return {
         "duration": trajectory.duration,
         "complete": trajectory.complete,
         "termination": trajectory.termination,
         "impacts": [impact(record) for record in trajectory.impacts],
-        "modes": [
-            {"source": i.source, "mode": i.mode, "start": i.start, "end": i.end} for i in trajectory.modes
-        ],
-        "stepped": [
-            {"start": i.start, "end": i.end, "dt": i.dt, "error": i.error, "reason": i.reason}
-            for i in trajectory.stepped
-        ],
+        "modes": [asdict(interval) for interval in trajectory.modes],
+        "stepped": [asdict(interval) for interval in trajectory.stepped],
         "energy": {name: float(change) for name, change in _energy_changes(trajectory)},
-        "notes": [note(record) for record in trajectory.notes],
+        "notes": [asdict(note) for note in trajectory.notes],
         "switched_off": list(trajectory.switched_off),
         "statistics": trajectory.statistics,
     }

@@ -261,6 +261,11 @@ class SceneFile(Table):
     output: OutputTable = OutputTable()
 
     @property
+    def options(self) -> dict[str, Any]:
+        """The options of `simulate`."""
+        return self.model_dump(include={"rtol", "atol", "max_impacts", "scheme", "dt"})
+
+    @property
     def surfaces(self) -> dict[str, Mapping[str, SurfaceTable]]:
         """The surfaces by kind and name."""
         return {"plane": self.plane, "sphere": self.sphere, "box": self.box, "shape": self.shape}

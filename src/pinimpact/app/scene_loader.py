@@ -64,18 +64,7 @@ class LoadedScene:
     def run(self, progress: Any = None) -> Trajectory:
         """Simulate the scene for its duration; errors as in `simulate`."""
         file = self.file
-        return simulate(
-            self.scene,
-            self.q,
-            self.v,
-            file.duration,
-            rtol=file.rtol,
-            atol=file.atol,
-            max_impacts=file.max_impacts,
-            progress=progress,
-            scheme=file.scheme,
-            dt=file.dt,
-        )
+        return simulate(self.scene, self.q, self.v, file.duration, progress=progress, **file.options)
 
     def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:
         """Write the files of ``[output]``, and yield a description and the path of each."""
@@ -311,7 +300,5 @@ def _at(key: str) -> Iterator[None]:
     """Add the key in the file to an error."""
     try:
         yield
-    except InputError as error:
-        raise InputError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
-    except UnknownNameError as error:
-        raise UnknownNameError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
+    except (InputError, UnknownNameError) as error:
+        raise type(error)(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None

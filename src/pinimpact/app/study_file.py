@@ -47,25 +47,18 @@ class LoadedStudy:
         self, out: Path, workers: int | None, resume: bool, progress: Callable[[int, int], None]
     ) -> Ensemble:
         """Run the ensemble; errors as in `ensemble`."""
-        scene, file = self.loaded, self.loaded.file
+        loaded, file = self.loaded, self.file
         return ensemble(
-            scene.scene,
-            scene.q,
-            scene.v,
-            self.file.duration or file.duration,
+            *(loaded.scene, loaded.q, loaded.v, file.duration or loaded.file.duration),
             over=self.over,
-            samples=self.file.samples,
-            seed=self.file.seed,
-            design=self.file.design,
+            samples=file.samples,
+            seed=file.seed,
+            design=file.design,
             executor=workers,
             out=out,
             resume=resume,
             progress=progress,
-            rtol=file.rtol,
-            atol=file.atol,
-            max_impacts=file.max_impacts,
-            scheme=file.scheme,
-            dt=file.dt,
+            **loaded.file.options,
         )
 
 

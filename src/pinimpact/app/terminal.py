@@ -6,7 +6,7 @@ import functools
 import json
 import logging
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -91,11 +91,7 @@ def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[No
 
 @contextmanager
 def working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
-    """Show progress on a terminal, and which kernels are compiled.
-
-    Returns:
-        A function that prints a line of progress.
-    """
+    """Show progress on a terminal, and which kernels are compiled; yield a function that prints a line."""
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)
@@ -108,8 +104,26 @@ def working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
         yield write
 
 
-def print_result(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
-    """Print a result as JSON, as tables or text, or not at all."""
+@contextmanager
+def simulating(quiet: bool) -> Iterator[Callable[[float, float], None]]:
+    """Show a bar of progress on a terminal; yield a function that takes what is done, and the whole."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
+        task = bar.add_task("simulating", total=None)
+        with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
+            yield lambda done, whole: bar.update(task, description="simulating", completed=done, total=whole)
+
+
+def print_result(
+    facts: Callable[[], Any],
+    tables: Callable[[], Any],
+    as_json: bool,
+    quiet: bool,
+    files: Mapping[str, Any] | None = None,
+) -> None:
+    """Print a result as JSON, as tables or text with the files that were written, or not at all."""
     if quiet:
         return
     if as_json:
@@ -122,3 +136,5 @@ def print_result(facts: Callable[[], Any], tables: Callable[[], Any], as_json: b
         from .report import wide_console
 
         wide_console().print(shown)
+    for what, path in (files or {}).items():
+        click.echo(f"{what}: {path}")

@@ -17,11 +17,7 @@ UNITS: dict[str, dict[str, float]] = {
 
 
 def quantity(value: Any, kind: str) -> float:
-    """Return a quantity of a kind in SI units.
-
-    Raises:
-        ValueError: Neither a finite number nor a number with a unit of that kind.
-    """
+    """Return a quantity of a kind in SI units, or raise `ValueError`: not finite, or of another unit."""
     units = UNITS[kind]
     number, unit = value, next(iter(units))
     if isinstance(value, str):

@@ -31,11 +31,7 @@ class ShapeTips(NamedTuple):
 
 
 def collision_model(robot: Any) -> pin.GeometryModel:
-    """Return the collision shapes of a RobotWrapper.
-
-    Raises:
-        InputError: A bare model, or a robot without collision shapes.
-    """
+    """Return the collision shapes of a RobotWrapper, or raise `InputError`: there are none."""
     shapes = getattr(robot, "collision_model", None)
     if isinstance(shapes, pin.GeometryModel) and shapes.ngeoms > 0:
         return shapes
@@ -49,11 +45,7 @@ def collision_model(robot: Any) -> pin.GeometryModel:
 
 
 def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
-    """Return a collision shape by name.
-
-    Raises:
-        UnknownNameError: No shape has the name (the message suggests similar ones), or several have it.
-    """
+    """Return a collision shape by name, or raise `UnknownNameError`, with similar names."""
     found = [shape for shape in shapes.geometryObjects if shape.name == name]
     if len(found) != 1:
         what = f"{len(found)} collision shapes are called {name!r}; rename them"
@@ -65,11 +57,7 @@ def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
 
 
 def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
-    """Return the id of the frame of a shape: that of its link, else one of its joint.
-
-    Raises:
-        ModelError: Its joint has no frame.
-    """
+    """Return the id of the frame of a shape: that of its link, else one of its joint, which must have one."""
     frame, joint = int(shape.parentFrame), int(shape.parentJoint)
     if frame < model.nframes and model.frames[frame].parentJoint == joint:
         return frame
@@ -117,11 +105,7 @@ def swept_radius(solid: Any) -> float:
 
 
 def check_rim_points(value: Any) -> None:
-    """Check a number of rim points.
-
-    Raises:
-        InputError: Neither None nor a whole number of at least 3.
-    """
+    """Raise `InputError` for a number of rim points that is neither None nor a whole number of at least 3."""
     if value is not None:
         whole_number("rim_points", value, 3)
 
@@ -216,11 +200,7 @@ def _known_hull(shapes: pin.GeometryModel, shape: pin.GeometryObject, vertices: 
 
 
 def extreme_points(points: Array, name: str) -> Array:
-    """Return the corners of the convex hull, which may be flat, of (n, 3) points, in their order.
-
-    Raises:
-        ModelError: No points, or some that are not finite.
-    """
+    """Return the corners of the convex hull, which may be flat, of (n, 3) points, in their order."""
     if len(points) == 0 or not np.isfinite(points).all():
         what = "has no vertices" if len(points) == 0 else "has vertices that are not finite"
         raise ModelError(f"geometry: the mesh of {name!r} {what}", value=name)
@@ -244,11 +224,7 @@ def extreme_points(points: Array, name: str) -> Array:
 def shapes_of_links(
     model: pin.Model, shapes: pin.GeometryModel, links: str | Iterable[str]
 ) -> list[pin.GeometryObject]:
-    """Return the collision shapes of links, given by the names of their frames, or of "all".
-
-    Raises:
-        UnknownNameError: A link that has none; the message suggests similar names.
-    """
+    """Return the collision shapes of links, given by the names of their frames, or of "all"."""
     found = [(model.frames[shape_frame(model, shape)].name, shape) for shape in shapes.geometryObjects]
     if isinstance(links, str) and links == "all":
         return [shape for _, shape in found]

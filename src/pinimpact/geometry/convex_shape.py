@@ -149,11 +149,7 @@ def capsule(radius: float, half_length: float) -> ConvexShape:
 
 
 def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
-    """Return the convex hull of (n, 3) points; errors have the name.
-
-    Raises:
-        InputError: Points that span no volume, or that are not finite.
-    """
+    """Return the convex hull of (n, 3) points, or raise `InputError`, with the name: they span no volume."""
     import coal
     from scipy.spatial import ConvexHull, QhullError
 

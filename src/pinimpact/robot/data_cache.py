@@ -21,16 +21,12 @@ from .tree_numbers import UNALIGNED, Tree, tree_of
 
 
 class DataCache:
-    """Data of a model and its Data that do not change between calls; see `data_cache`.
+    """Data of a model and its Data, of both weak references, that do not change; see `data_cache`.
 
-    Attributes:
-        model, data: Weak references to the two.
-        parents: (nv,) the next velocity towards the root, or −1.
-        mimics: Whether joints mimic others, so that the joint Jacobian has different columns.
-        flaw: Why Pinocchio gives wrong results for the model, or None.
-        curved: Whether nq is not nv.
-        bounds: (2, nq) bounds beyond which a warning is given.
-        workspaces: By id of a contact the contact and its workspace, see `struck`.
+    parents (nv,) are the next velocities towards the root, or −1. If joints mimic others (`mimics`) the joint
+    Jacobian has different columns; `flaw` is why Pinocchio gives wrong results, if it does; `curved` whether
+    nq is not nv. Beyond bounds (2, nq) a warning is given. `workspaces` has by its id a contact and its
+    workspace, see `struck`.
     """
 
     def __init__(self, model: pin.Model, data: Any) -> None:

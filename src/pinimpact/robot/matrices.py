@@ -223,9 +223,8 @@ def independent(rows: Array) -> tuple[Array, Array, Array]:
 def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
     """Project the rows of `anchored` out of the rows of `y` (both L⁻ᵀ of rows of Jacobians).
 
-    Returns:
-        The remaining y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
-        least norm that balance the rest.
+    Returns the remaining y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
+    least norm that balance the rest.
     """
     tolerance = _rounding(anchored)
     left, sizes, right = independent(anchored)

@@ -22,11 +22,7 @@ class Placed:
 
 
 def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
-    """Return one robot that consists of all parts; its ``q0`` consists of theirs.
-
-    Raises:
-        InputError: No parts, or two with the same names.
-    """
+    """Return one robot that consists of all parts, which need different prefixes; its ``q0`` of theirs."""
     prefixes = [part.prefix for part in parts]
     if not parts or len(set(prefixes)) < len(prefixes):
         raise InputError(

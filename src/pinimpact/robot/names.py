@@ -79,11 +79,7 @@ def motion_signs(model: pin.Model, joint: int, other: int) -> np.ndarray:
 
 
 def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray:
-    """Return (nv,) booleans: False for the velocities of the joints named (or numbered) in `locked`.
-
-    Raises:
-        UnknownNameError: A name that no joint has, or a number out of range.
-    """
+    """Return (nv,) booleans: False for the velocities of the joints named (or numbered) in `locked`."""
     free = np.ones(model.nv, dtype=np.bool_)
     for key in joint_keys(locked):
         joint = _joint_id(model, key, "locked")
@@ -158,11 +154,7 @@ def joint_of_velocity(model: pin.Model, velocity: int) -> str:
 
 
 def model_of(robot: Any) -> pin.Model:
-    """Return the model of a RobotWrapper, or the model itself.
-
-    Raises:
-        InputError: Neither of the two.
-    """
+    """Return the model of a RobotWrapper, or the model itself, or raise `InputError`."""
     if isinstance(robot, pin.Model):
         return robot
     model = getattr(robot, "model", None)

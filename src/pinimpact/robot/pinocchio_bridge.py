@@ -62,11 +62,7 @@ def call_addresses(calls: Sequence[Call]) -> Integers:
 
 
 def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
-    """Check that no joint has zero inertia at a configuration, since its acceleration would be infinite.
-
-    Raises:
-        ModelError: The mass matrix is not positive definite, or not correct.
-    """
+    """Raise `ModelError` if a joint has zero inertia at q, since its acceleration would be infinite."""
     for part in parts_of(model, data):
         _check_inertia(part.model, part.data, q[part.q])
 

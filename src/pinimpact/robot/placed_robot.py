@@ -61,16 +61,10 @@ class ContactGeometry:
 
 
 class PlacedRobot:
-    """A robot at a configuration; its Data contain the placements until they are used for another one.
+    """A robot at q (nq,); its Data, or `Forest`, contain the placements until they are used for another one.
 
-    Attributes:
-        model: Its model.
-        data: Its Data, or a `Forest`.
-        q: (nq,) the configuration.
-        cache: Data that do not change between calls.
-
-    Raises:
-        InputError: A q of the wrong length, not finite, or not normalised; data of another model.
+    `cache` has data that do not change between calls. Raises `InputError` for an invalid q, or data of
+    another model.
     """
 
     def __init__(self, robot: Any, data: Any, q: ArrayLike) -> None:

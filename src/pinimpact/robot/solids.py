@@ -104,11 +104,7 @@ class Solid(Surface):
 
     @abstractmethod
     def carried_by(self, robot: Any) -> CarriedShape:
-        """Return the convex shape, and the frame to which it is attached.
-
-        Args:
-            robot: The RobotWrapper.
-        """
+        """Return the convex shape, and the frame to which it is attached, for a RobotWrapper."""
 
     @property
     def origin(self) -> Vector:
@@ -116,11 +112,7 @@ class Solid(Surface):
         return (0.0, 0.0, 0.0)
 
     def distance(self, point: ArrayLike) -> float:
-        """Not available without the robot.
-
-        Raises:
-            InputError: Always.
-        """
+        """Raise `InputError`: it is not known without the robot."""
         raise InputError(f"plane: the distance of a point from {self.label!r} is not known", value=self)
 
 
@@ -195,11 +187,7 @@ class Shape(Solid):
 
 
 def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
-    """Return a sphere as a convex shape.
-
-    Raises:
-        InputError: The sphere has a surface velocity.
-    """
+    """Return a sphere as a convex shape, or raise `InputError`: its surface has a velocity."""
     if any(surface.velocity) or any(surface.angular_velocity):
         raise InputError(
             f"plane: {surface.label!r} has a surface velocity, which is possible with points and "

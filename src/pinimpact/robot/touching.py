@@ -30,11 +30,7 @@ def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) ->
 
 
 def check_rims(placed: PlacedRobot, contacts: Iterable[Contact]) -> None:
-    """Raise an error for an impact at a rim that lies flat on its plane.
-
-    Raises:
-        InputError: A rim lies flat; the message has the contact.
-    """
+    """Raise `InputError` for an impact at a rim that lies flat on its plane."""
     for contact in contacts:
         if contact.rim > 0.0 and float(np.linalg.norm(tilt_of_rim(placed, contact))) <= ROUNDING:
             raise InputError(f"contact: {flat_rim(contact)}", value=contact)

@@ -123,11 +123,7 @@ def _in_place(array: Array, again: Array, name: str) -> Array:
 
 
 def placement_of_frame(model: pin.Model, frame: int) -> Array:
-    """Return (12,) the placement of a frame on its joint, in place.
-
-    Raises:
-        bridge.ElsewhereError: Its memory layout is not the expected one.
-    """
+    """Return (12,) the placement of a frame on its joint, in place, or raise `ElsewhereError`."""
     return bridge.rows([model.frames[frame].placement], [model.frames[frame].placement], "frames")[0]
 
 

@@ -283,11 +283,7 @@ def _unidentified(
 
 
 def group_numbers(group: Any, count: int) -> Integers:
-    """Return the index of the group of each row; None: each row is a group of its own.
-
-    Raises:
-        InputError: Not one label for each row, or fewer than two groups.
-    """
+    """Return the index of the group of each row, of two at least; None: each row is a group of its own."""
     if group is None:
         numbers = np.arange(count)
     else:

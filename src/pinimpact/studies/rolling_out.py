@@ -97,11 +97,7 @@ class Start(NamedTuple):
 
 
 def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[Start]:
-    """Return the start of each recording, or of each flight up to the end of the next one.
-
-    Raises:
-        InputError: Recordings that are none of one free body, or without flight.
-    """
+    """Return the start of each recording, or of each flight up to the end of the next one."""
     motions, body = checked_motions(recorded), Body.of(scene)
     starts = []
     found = flights_of(scene, motions, body, CLEARANCE)

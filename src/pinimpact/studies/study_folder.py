@@ -175,11 +175,7 @@ class StudyFolder:
         return self.path / f"samples-{first:09d}.parquet"
 
     def read(self) -> dict[int, Columns]:
-        """Return the columns of the chunks that are there, by their first sample.
-
-        Raises:
-            InputError: A file that is damaged, or a chunk of another study.
-        """
+        """Return the columns of the chunks that are there, by their first sample; they must be whole."""
         found: dict[int, Columns] = {}
         end = 0
         for file in sorted(self.path.glob("samples-*.parquet")):

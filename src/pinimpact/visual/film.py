@@ -29,11 +29,7 @@ def width_of_slowness(duration: float, speed: float, slowdown: float) -> float:
 
 
 def slowed(stopped: Sequence[float]) -> list[bool]:
-    """Return the impacts at which a replay slows down.
-
-    Args:
-        stopped: Work of compression of each [J].
-    """
+    """Return the impacts at which a replay slows down, from the work of compression of each [J]."""
     least = LITTLE * max(stopped, default=0.0)
     hardest = sorted(range(len(stopped)), key=lambda i: -stopped[i])[:SLOWED]
     return [i in hardest and stopped[i] >= least > 0.0 for i in range(len(stopped))]
