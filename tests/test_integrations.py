@@ -171,6 +171,16 @@ def test_jax_transforms_both_ways_and_in_batches():
     np.testing.assert_array_equal(jax.vmap(one)(*arrays), one(*arrays))
 
 
+@pytest.mark.skipif(jax is None, reason="jax is not installed")
+@pytest.mark.parametrize("count", [2, 3])
+def test_jax_maps_one_argument_over_rows_of_another(count):
+    w, velocity, _, _ = map(jnp.asarray, _problems(5, 3))
+    friction = jnp.linspace(0.1, 0.5, count)
+    of = lambda mu: _functions("jax").solve_impacts(w, velocity, mu, 0.5)[0]  # noqa: E731
+    for mapped in (of, jax.jacfwd(of), jax.jacrev(of)):
+        np.testing.assert_array_equal(jax.vmap(mapped)(friction), jnp.stack([mapped(mu) for mu in friction]))
+
+
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_rows_without_solution_are_nan_and_leave_others_alone(library):
     functions = _functions(library)

@@ -7,7 +7,6 @@ a solution are NaN, and so are derivatives that do not exist, see `Boundary`. (d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from ..errors import InputError
@@ -27,17 +26,19 @@ def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
     for name, array in zip(rows.names, arrays, strict=True):
         refuse_single_precision(array.dtype, name, REMEDY)
     sizes = rows.outputs([array.shape for array in arrays])
+    parts = [array.ndim - n for array, n in zip(arrays, rows.inputs, strict=True)]
+    lead = jnp.broadcast_shapes(*(array.shape[:k] for array, k in zip(arrays, parts, strict=True)))
+    # `jax.vmap` adds its axis in front of each: they must have the same axes before
+    arrays = tuple(
+        jnp.broadcast_to(array, lead + array.shape[k:]) for array, k in zip(arrays, parts, strict=True)
+    )
 
-    def lead(arrays: Sequence[Any]) -> tuple[int, ...]:
-        parts = (array.shape[: array.ndim - n] for array, n in zip(arrays, rows.inputs, strict=True))
-        return jnp.broadcast_shapes(*parts)
-
-    def shaped(arrays: Sequence[Any], *own: tuple[int, ...]) -> tuple[Any, ...]:
-        return tuple(jax.ShapeDtypeStruct((*lead(arrays), *shape), jnp.float64) for shape in own)
+    def shaped(*own: tuple[int, ...]) -> tuple[Any, ...]:
+        return tuple(jax.ShapeDtypeStruct((*lead, *shape), jnp.float64) for shape in own)
 
     @jax.custom_jvp
     def call(*arrays: Any) -> tuple[Any, ...]:
-        outputs = shaped(arrays, *((size,) for size in sizes))
+        outputs = shaped(*((size,) for size in sizes))
         return jax.pure_callback(rows.values, outputs, *arrays, vmap_method="broadcast_all")
 
     @call.defjvp
@@ -46,7 +47,7 @@ def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
         shapes = [(size, *shape) for size in sizes for shape in own]
         found = jax.pure_callback(
             rows.slopes,
-            shaped(primals, *((size,) for size in sizes), *shapes),
+            shaped(*((size,) for size in sizes), *shapes),
             *primals,
             vmap_method="broadcast_all",
         )
