@@ -32,38 +32,32 @@ class Sentences(enum.IntFlag):
 class Status(enum.IntEnum):
     """The reason why an impact ended. ``str(status)`` is a sentence; arrays have the integer values."""
 
-    SEPARATED = 0
-    ENDED_AT_REST = 1
-    NO_IMPACT = 2
-    LOCKED = 3
-    INVALID_NUMBERS = 4
-    INDEFINITE_DELASSUS = 5
-    UNSTOPPABLE = 6
-    LAW_UNREACHABLE = 7
-    OUT_OF_RANGE = 8
-    NOT_CONVERGED = 9
+    _sentence: str
+
+    def __new__(cls, value: int, sentence: str = "") -> Any:
+        """Take a member's value and its sentence."""
+        member = int.__new__(cls, value)
+        member._value_, member._sentence = value, sentence
+        return member
+
+    SEPARATED = 0, "Solved: the restitution law is met and the contact separates."
+    ENDED_AT_REST = 1, "Solved: the normal velocity is zero at the end, without restitution."
+    NO_IMPACT = 2, "The contact does not approach, so there is no impact."
+    LOCKED = 3, "Friction locks the mechanism, so the normal velocity cannot rise."
+    INVALID_NUMBERS = 4, "A number of the problem is not finite or out of its range."
+    INDEFINITE_DELASSUS = 5, "The Delassus matrix is not symmetric positive semidefinite."
+    UNSTOPPABLE = 6, "The contact approaches and no normal impulse can stop it."
+    LAW_UNREACHABLE = 7, "The mechanism cannot satisfy the restitution law."
+    OUT_OF_RANGE = 8, "The result is outside the range of double precision."
+    NOT_CONVERGED = 9, "The solver reached its largest number of steps."
 
     def __str__(self) -> str:
-        return _SENTENCES[self]
+        return self._sentence
 
     @property
     def ok(self) -> bool:
         """Whether there is a solution. If not, rows of batches are NaN and `solve_impact` raises an error."""
         return self <= Status.LOCKED
-
-
-_SENTENCES = {
-    Status.SEPARATED: "Solved: the restitution law is met and the contact separates.",
-    Status.ENDED_AT_REST: "Solved: the normal velocity is zero at the end, without restitution.",
-    Status.NO_IMPACT: "The contact does not approach, so there is no impact.",
-    Status.LOCKED: "Friction locks the mechanism, so the normal velocity cannot rise.",
-    Status.INVALID_NUMBERS: "A number of the problem is not finite or out of its range.",
-    Status.INDEFINITE_DELASSUS: "The Delassus matrix is not symmetric positive semidefinite.",
-    Status.UNSTOPPABLE: "The contact approaches and no normal impulse can stop it.",
-    Status.LAW_UNREACHABLE: "The mechanism cannot satisfy the restitution law.",
-    Status.OUT_OF_RANGE: "The result is outside the range of double precision.",
-    Status.NOT_CONVERGED: "The solver reached its largest number of steps.",
-}
 
 
 class Flag(Sentences):

@@ -120,37 +120,17 @@ def _box(solid: Any) -> ShapeTips:
     return _points("box", signs * np.asarray(solid.halfSide), "corner")
 
 
-def _sphere(solid: Any) -> ShapeTips:
-    return ShapeTips("sphere", np.zeros((1, 3)), float(solid.radius), np.zeros(1), ("",))
-
-
 def _ends(solid: Any) -> Array:
     return np.array([[0.0, 0.0, -solid.halfLength], [0.0, 0.0, solid.halfLength]])
 
 
-def _capsule(solid: Any) -> ShapeTips:
-    return ShapeTips("capsule", _ends(solid), float(solid.radius), np.zeros(2), ("end 1", "end 2"))
-
-
-def _cylinder(solid: Any) -> ShapeTips:
-    return ShapeTips("cylinder", _ends(solid), 0.0, np.full(2, float(solid.radius)), ("rim 1", "rim 2"))
-
-
-def _cone(solid: Any) -> ShapeTips:
-    return ShapeTips("cone", _ends(solid), 0.0, np.array([float(solid.radius), 0.0]), ("rim", "apex"))
-
-
-def _triangle(solid: Any) -> ShapeTips:
-    return _points("triangle", np.array([solid.a, solid.b, solid.c], dtype=np.float64), "corner")
-
-
 _MAKERS: dict[str, Callable[[Any], ShapeTips]] = {
     "Box": _box,
-    "Sphere": _sphere,
-    "Capsule": _capsule,
-    "Cylinder": _cylinder,
-    "Cone": _cone,
-    "TriangleP": _triangle,
+    "Sphere": lambda s: ShapeTips("sphere", np.zeros((1, 3)), float(s.radius), np.zeros(1), ("",)),
+    "Capsule": lambda s: ShapeTips("capsule", _ends(s), float(s.radius), np.zeros(2), ("end 1", "end 2")),
+    "Cylinder": lambda s: ShapeTips("cylinder", _ends(s), 0.0, np.full(2, s.radius), ("rim 1", "rim 2")),
+    "Cone": lambda s: ShapeTips("cone", _ends(s), 0.0, np.array([float(s.radius), 0.0]), ("rim", "apex")),
+    "TriangleP": lambda s: _points("triangle", np.array([s.a, s.b, s.c], dtype=np.float64), "corner"),
 }
 
 

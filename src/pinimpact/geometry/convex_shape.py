@@ -128,14 +128,8 @@ def sphere(radius: float) -> ConvexShape:
     """Return a sphere about the origin."""
     import coal
 
-    return ConvexShape(
-        np.zeros((1, 3)),
-        (),
-        np.zeros((0, 2), dtype=np.int64),
-        np.zeros((0, 3)),
-        float(radius),
-        coal.Sphere(radius),
-    )
+    no_edges = np.zeros((0, 2), dtype=np.int64)
+    return ConvexShape(np.zeros((1, 3)), (), no_edges, np.zeros((0, 3)), float(radius), coal.Sphere(radius))
 
 
 def capsule(radius: float, half_length: float) -> ConvexShape:
@@ -143,9 +137,8 @@ def capsule(radius: float, half_length: float) -> ConvexShape:
     import coal
 
     ends = np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]])
-    return ConvexShape(
-        ends, (), np.array([[0, 1]]), np.zeros((0, 3)), float(radius), coal.Capsule(radius, 2.0 * half_length)
-    )
+    solid = coal.Capsule(radius, 2.0 * half_length)
+    return ConvexShape(ends, (), np.array([[0, 1]]), np.zeros((0, 3)), float(radius), solid)
 
 
 def hull(points: ArrayLike, name: str = "points") -> ConvexShape:

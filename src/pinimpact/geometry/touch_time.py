@@ -91,7 +91,7 @@ def first_touch(
     separate within `MAX_ADVANCES`.
     """
     near: Array | None = None
-    fastest: Fastest | None = None
+    fastest: tuple[float, float] | None = None
 
     def fronts(t: float) -> list[Front]:
         nonlocal near, fastest
@@ -150,15 +150,8 @@ def _edges_turn(u: Array, w: Array, normal: Array, spin_a: Array, spin_b: Array)
     return np.asarray(rate - (rate @ normal) * normal)
 
 
-class Fastest(NamedTuple):
-    """What the motion of points of two shapes against each other does not exceed over a step."""
-
-    second: float  # the acceleration [m/s²]
-    third: float  # its rate [m/s³]
-
-
-def _fastest(at: Callable[[float], PairState], start: float, end: float) -> Fastest:
-    """Return the largest relative acceleration of points, and its largest rate, from samples of a step."""
+def _fastest(at: Callable[[float], PairState], start: float, end: float) -> tuple[float, float]:
+    """Return bounds of the relative acceleration of points [m/s²] and its rate, from samples of a step."""
     second = third = 0.0
     before: list[Array] | None = None
     for t in np.linspace(start, end, 1 + SAMPLES).tolist():
@@ -168,7 +161,7 @@ def _fastest(at: Callable[[float], PairState], start: float, end: float) -> Fast
         if before is not None:
             third = max(third, _most(now[0] - before[0], now[1] - before[1]) * SAMPLES / (end - start))
         before = now
-    return Fastest(SAFETY * second, SAFETY * third)
+    return SAFETY * second, SAFETY * third
 
 
 def _velocities(state: PairState) -> list[Array]:
@@ -197,7 +190,7 @@ def _most(one: Array, other: Array) -> float:
 
 
 def _front(
-    state: PairState, value: float, normal: Array, bend: float, fastest: Fastest | None, turn: Array
+    state: PairState, value: float, normal: Array, bend: float, most: tuple[float, float] | None, turn: Array
 ) -> Front:
     """Return what faces each other along a normal that turns at a rate (3,)."""
     a, b = state.a, state.b
@@ -222,7 +215,7 @@ def _front(
         curving,
         until,
     )
-    if fastest is None:
+    if most is None:
         return now
     seconds = [
         speeding @ normal + 2.0 * (moving @ turn) - spin * spin * (placed.vertices - center) @ normal
@@ -231,11 +224,11 @@ def _front(
         )
     ]
     common = 0.5 * (seconds[0][heights_a.argmin()] + seconds[1][heights_b.argmax()])
-    third = fastest.third
+    second, third = most
     if spin > 0.0:
-        speed += fastest.second * until
+        speed += second * until
         far += speed * until
-        third += 3.0 * spin * fastest.second + 3.0 * spin * spin * speed + spin**3 * far
+        third += 3.0 * spin * second + 3.0 * spin * spin * speed + spin**3 * far
     return now._replace(
         closing_a=np.minimum(seconds[0] - common, 0.0),
         closing_b=np.maximum(seconds[1] - common, 0.0),

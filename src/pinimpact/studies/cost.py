@@ -34,13 +34,13 @@ TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": LEAST_RTOL}
 """Reference of "exact"; that of every other method is "exact"."""
 
 STYLES: dict[str, dict[str, Any]] = {
-    "exact": {"marker": "*", "color": "#d62728", "size": 12},
+    "exact": {"marker": "*", "color": "#d62728", "markersize": 12},
     "euler": {"marker": "o", "color": "#1f77b4"},
     "rk4": {"marker": "s", "color": "#2ca02c"},
     "adaptive": {"marker": "D", "color": "#9467bd"},
     "solve_ivp": {"marker": "x", "color": "#7f7f7f"},
-    "admm": {"marker": "P", "color": "#ff7f0e", "size": 6},
-    "pgs": {"marker": "X", "color": "#ff7f0e", "size": 6},
+    "admm": {"marker": "P", "color": "#ff7f0e", "markersize": 6},
+    "pgs": {"marker": "X", "color": "#ff7f0e", "markersize": 6},
 }
 """Styles of methods and other models."""
 
@@ -210,20 +210,18 @@ class Report:
 
     def plot(self, path: str | Path) -> None:
         """Draw the work-precision diagram as PNG, a panel for each problem."""
-        from ..visual.work_precision import Curve, draw_work_precision
+        from ..visual.work_precision import draw_work_precision
 
-        panels: dict[str, list[Curve]] = {}
+        panels: dict[str, list[tuple[str, list[tuple[float, float]], dict[str, Any]]]] = {}
         for problem in self.problems:
             curves = panels[problem] = []
             for method in dict.fromkeys(point.method for point in self.points):
                 points = [p for p in self.points if (p.problem, p.method) == (problem, method)]
-                seconds, errors = [p.cost for p in points], [p.error for p in points]
-                curves.append(Curve(method, seconds, errors, **STYLES.get(method, {})))
+                curves.append((method, [(p.cost, p.error) for p in points], STYLES.get(method, {})))
             for c in self.contrasts:
                 if c.problem == problem:
                     label = f"Pinocchio {c.solver.upper()} (another model, e = 0)"
-                    error = max(c.velocity, c.impulse)
-                    curves.append(Curve(label, [c.call_seconds], [error], **STYLES[c.solver]))
+                    curves.append((label, [(c.call_seconds, max(c.velocity, c.impulse))], STYLES[c.solver]))
         draw_work_precision(panels, path)
 
 

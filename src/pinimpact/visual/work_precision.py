@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,16 +15,8 @@ ROUNDING = float(np.finfo(float).eps)
 """Smallest error that is drawn: relative ones below it are rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """Measurements of one method on one problem, and their style."""
-
-    label: str  # in the legend
-    seconds: Sequence[float]  # the points, joined by a line; those whose error is NaN are left out
-    errors: Sequence[float]
-    marker: str = "^"  # Matplotlib's name of it
-    color: str | None = None  # Matplotlib's name of it; None for the next of its cycle
-    size: float = 4.0  # size of the markers [pt]
+Curve = tuple[str, Sequence[tuple[float, float]], Mapping[str, Any]]
+"""Label, times [s] and errors, without a point where the error is NaN, and the style of the line."""
 
 
 def draw_work_precision(panels: Mapping[str, Sequence[Curve]], path: str | Path) -> None:
@@ -34,18 +26,15 @@ def draw_work_precision(panels: Mapping[str, Sequence[Curve]], path: str | Path)
     figure = Figure(figsize=(3.4 * columns + 0.6, 3.0 * rows + 0.9), layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, (title, curves) in zip(grid, panels.items(), strict=False):
-        for below, curve in enumerate(curves):
-            measured = zip(curve.seconds, curve.errors, strict=True)
+        for below, (label, measured, style) in enumerate(curves):
             points = [(time, error) for time, error in measured if not math.isnan(error)]
             axes.loglog(
                 [1e6 * time for time, _ in points],
                 [max(error, ROUNDING) for _, error in points],
-                marker=curve.marker,
-                color=curve.color,
-                markersize=curve.size,
                 linewidth=1,
-                label=curve.label,
+                label=label,
                 zorder=3 - below / len(curves),
+                **{"marker": "^", "markersize": 4.0, **style},
             )
         axes.set_title(title, fontsize=10)
         axes.grid(alpha=0.3)
