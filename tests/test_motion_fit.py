@@ -129,6 +129,6 @@ def test_a_parameter_of_one_contact_overrides_that_of_all_in_any_order(names) ->
 
 
 def _set(scene, name, value):
-    from pinimpact.studies.identification import _set_coefficient
+    from pinimpact.studies.estimate import set_coefficient
 
-    return _set_coefficient(scene, name, value)
+    return set_coefficient(scene, name, value)

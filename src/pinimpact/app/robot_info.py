@@ -132,6 +132,8 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
         }
         for i, frame in enumerate(model.frames)
     ]
+    solids = [] if robot.collision_model is None else robot.collision_model.geometryObjects
+    shapes = [shape.name for shape in solids]
     return {
         "robot": name,
         "free_base": free_base(model),
@@ -141,17 +143,13 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
         "q0": np.asarray(robot.q0).tolist(),
         "shapes": {
             "visual": robot.visual_model.ngeoms if robot.visual_model is not None else 0,
-            "collision": len(_collision_shapes(robot)),
+            "collision": len(shapes),
         },
-        "collision_shapes": [shape.name for shape in _collision_shapes(robot)],
+        "collision_shapes": shapes,
         "contact_frames": [frame_label(model, i) for i in end_frames(model)],
         "joints": joints,
         "frames": frames,
     }
-
-
-def _collision_shapes(robot: pin.RobotWrapper) -> list[pin.GeometryObject]:
-    return [] if robot.collision_model is None else list(robot.collision_model.geometryObjects)
 
 
 _KINDS = (

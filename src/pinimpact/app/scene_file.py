@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -319,17 +319,11 @@ def validated(kind: type[Checked], tables: dict[str, Any], path: Path) -> Checke
         raise _first_error(error, path, kind) from None
 
 
-_TABLES: dict[tuple[str, ...], type[Table]] = {
-    ("robot",): RobotTable,
-    ("plane",): PlaneTable,
-    ("sphere",): SphereTable,
-    ("box",): BoxTable,
-    ("shape",): ShapeTable,
-    ("contact",): ContactTable,
-    ("start",): StartTable,
-    ("control",): ControlTable,
-    ("output",): OutputTable,
-}
+def _table_of(key: str) -> type[Table] | None:
+    """Return the kind of the tables of a key of a scene file."""
+    kind = getattr(SceneFile.model_fields.get(key), "annotation", None)
+    kinds = [one for one in (kind, *get_args(kind)) if isinstance(one, type) and issubclass(one, Table)]
+    return kinds[0] if kinds else None
 
 
 def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> PinimpactError:
@@ -340,12 +334,12 @@ def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> Pinim
     place = complaint["loc"]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if complaint["type"] == "extra_forbidden":
-        table = _TABLES.get(tuple(str(part) for part in place[:-1][:1]), kind)
+        table = (_table_of(str(place[0])) if len(place) > 1 else None) or kind
         return UnknownNameError(
             f"{key}: unknown key in {path.name}; {near_matches(str(place[-1]), table.model_fields)}",
             value=complaint["input"],
         )
-    if complaint["type"] == "list_type" and (key,) in _TABLES:
+    if complaint["type"] == "list_type" and _table_of(key):
         given = f"[{key}]" if isinstance(complaint["input"], dict) else in_short(complaint["input"])
         return InputError(
             f"{key}: {given} in {path.name} must be a list of tables; write [[{key}]]",

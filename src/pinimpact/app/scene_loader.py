@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -225,13 +225,8 @@ def _quantity(key: str, value: float | str, kind: str) -> float:
         raise InputError(f"{key}: {error}", value=value) from None
 
 
-class _Linked(NamedTuple):
-    """Links whose shapes make contact with a surface, with coefficients, and their key in the file."""
-
-    key: str
-    surface: Surface
-    links: str | Sequence[str]
-    coefficients: dict[str, Any]
+_Linked = tuple[str, Surface, str | Sequence[str], dict[str, Any]]
+"""A key in the file, a surface, the links whose shapes make contact with it, and the coefficients."""
 
 
 def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked]]:
@@ -261,7 +256,7 @@ def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked
         keys = {name for name in table.model_fields_set if getattr(table, name) is not None}
         values = table.model_dump(include=keys - {"plane", "held", "name", "links"})
         if given == ["links"]:
-            linked.append(_Linked(key, surface, table.links or (), values))
+            linked.append((key, surface, table.links or (), values))
             continue
         name = table.name if given == ["geometry"] else label
         with _at(key):

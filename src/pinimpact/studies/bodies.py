@@ -13,7 +13,7 @@ from ..checks import as_tuple, choice
 from ..errors import InputError
 from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
-from .estimate import Identified, fit, group_numbers
+from .estimate import Identified, fit, group_numbers, set_coefficient
 from .found import FoundImpacts, free_body
 
 _AXES = "xyz"
@@ -74,7 +74,7 @@ def identify_body(
         group_numbers(found.group, len(found)),
         loss,
         lambda name, x: "",
-        setters={"com": _set_inertia, "inertia": _set_inertia, "radius": _set_radius},
+        setters={"com": _set_inertia, "inertia": _set_inertia, "radius": set_coefficient},
     )
 
 
@@ -133,7 +133,3 @@ def _set_inertia(scene: Scene, name: str, value: float) -> Scene:
         matrix[i, j] = matrix[j, i] = value * inertia.mass
     model.inertias[1] = pin.Inertia(inertia.mass, lever, matrix)
     return replace(scene, model=model)
-
-
-def _set_radius(scene: Scene, name: str, value: float) -> Scene:
-    return replace(scene, contacts=[replace(contact, radius=value) for contact in scene.contacts])

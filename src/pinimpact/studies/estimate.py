@@ -98,6 +98,19 @@ class Identified(OptimizeResult):
         return "\n".join([head, *rows, *(f"  {sentence}" for sentence in self.unidentified)]) + ")"
 
 
+def set_coefficient(scene: Any, name: str, value: float) -> Any:
+    """Return a scene with one coefficient of one or all contacts."""
+    kind, _, label = name.partition(":")
+    labels = [contact.label for contact in scene.contacts]
+    if label and label not in labels:
+        choice("scene", label, labels, "a contact of the scene")
+    changed: dict[str, Any] = {kind: value}
+    contacts = [
+        replace(contact, **changed) if label in ("", contact.label) else contact for contact in scene.contacts
+    ]
+    return replace(scene, contacts=contacts)
+
+
 def general_first(names: Sequence[str]) -> list[int]:
     """Return the indices of parameters, those of one contact or joint last: they override those of all."""
     return sorted(range(len(names)), key=lambda j: ":" in names[j])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,12 +47,11 @@ class FoundImpacts:
 
     def __getitem__(self, rows: Any) -> FoundImpacts:
         one = np.atleast_1d(np.arange(len(self))[rows])
-        time = None if self.time is None else self.time[one]
-        covariance = None if self.covariance is None else self.covariance[one]
-        states = self.q[one], self.v_before[one], self.v_after[one]
-        return FoundImpacts(
-            *states, self.contact[one], self.group[one], time, covariance, self.dropped, self.scene
-        )
+        chosen: dict[str, Any] = {}
+        for name in ("q", "v_before", "v_after", "contact", "group", "time", "covariance"):
+            column = getattr(self, name)
+            chosen[name] = None if column is None else column[one]
+        return replace(self, **chosen)
 
     def __repr__(self) -> str:
         groups = counted(len(np.unique(self.group)), "group")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,7 +19,15 @@ from ..robot.names import single_joints
 from ..scene.scene import Scene
 from ..scene.switched_off import in_impacts
 from ..status import Flag, Status
-from .estimate import Identified, checked_bounds, fit, general_first, group_numbers, whitener
+from .estimate import (
+    Identified,
+    checked_bounds,
+    fit,
+    general_first,
+    group_numbers,
+    set_coefficient,
+    whitener,
+)
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
 from .motion_fit import fit_motions
 from .one_step import ONE_STEP, OneStepSolution, solve_one_step
@@ -194,7 +201,7 @@ def _fitted(rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers
         speed = -np.median(rows.velocity[used, 2])
         return f"the median approach speed is {speed:.2g} m/s" if name.startswith("restitution") else ""
 
-    setters = dict.fromkeys(RANGES, _set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
+    setters = dict.fromkeys(RANGES, set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
     trial = partial(residual, derivatives=False)
     return fit(residual, jacobian, bounds, group, loss, reason, trial, law=rows.law, setters=setters)
 
@@ -237,21 +244,8 @@ def _of_motions(
     bounds = _checked(free, RANGES | SLIDING, scene)
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
-    setters = dict.fromkeys(RANGES | SLIDING, _set_coefficient)
+    setters = dict.fromkeys(RANGES | SLIDING, set_coefficient)
     return fit_motions(motions, scene, bounds, law, loss, setters, executor, restart)
-
-
-def _set_coefficient(scene: Scene, name: str, value: float) -> Scene:
-    """Return a scene with one coefficient of one or all contacts."""
-    kind, _, label = name.partition(":")
-    labels = [contact.label for contact in scene.contacts]
-    if label and label not in labels:
-        choice("scene", label, labels, "a contact of the scene")
-    changed: dict[str, Any] = {kind: value}
-    contacts = [
-        replace(contact, **changed) if label in ("", contact.label) else contact for contact in scene.contacts
-    ]
-    return replace(scene, contacts=contacts)
 
 
 def _stiffened(bounds: Mapping[str, Any]) -> list[str]:

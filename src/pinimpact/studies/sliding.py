@@ -17,7 +17,7 @@ from ..geometry.plane import Plane
 from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
 from ..scene.switched_off import altered
-from .estimate import Identified, fit, group_numbers
+from .estimate import Identified, fit, group_numbers, set_coefficient
 from .flights import Body
 from .found import free_body
 from .recordings import FRAMES, Motion, checked_motions, gaps
@@ -108,7 +108,7 @@ def identify_sliding(
 
     tilted = -0.5 * strength, 0.5 * strength
     bounds = {name: (0.0, 2.0) if name == "sliding_friction" else tilted for name in names}
-    setters = {"sliding_friction": _set_friction, "gravity": _set_gravity}
+    setters = {"sliding_friction": set_coefficient, "gravity": _set_gravity}
     return fit(
         residual, jacobian, bounds, group, loss, lambda name, x: "", setters=setters, slides=len(slides)
     )
@@ -180,11 +180,6 @@ def _slide(t: Array, path: Array, turns: Array, levers: Array, label: Any) -> _S
     columns, target = np.einsum("mn,nij->mij", out, bends).reshape(-1, 4), (out @ path[:, :2]).ravel()
     basis, rows = np.linalg.qr(columns)
     return _Slide(rows, basis.T @ target, label)
-
-
-def _set_friction(scene: Scene, name: str, value: float) -> Scene:
-    contacts = [replace(contact, sliding_friction=value) for contact in scene.contacts]
-    return replace(scene, contacts=contacts)
 
 
 def _set_gravity(scene: Scene, name: str, value: float) -> Scene:

@@ -32,8 +32,7 @@ from ..robot.solids import Shape
 from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
-from .cloud import cloud_as_data
-from .film import frame_times, slowed, width_of_slowness
+from .film import FRAMES_PER_SECOND, frame_times, slowed, width_of_slowness
 from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark
 from .page_file import Recorder, packed, page
 from .robot_shapes import (
@@ -60,6 +59,8 @@ LISTED = 3
 LEVEL, NEAR = 0.99, 0.1
 """A surface is the floor if its normal has at least this vertical component, and it is at most this part of
 the size of the scene above the lowest point."""
+CLOUD_FRAMES = 240
+"""Largest number of frames of a translucent motion, to limit the file."""
 LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.4
 """Lengths of the longest arrows, relative to the size of the scene."""
 
@@ -160,9 +161,7 @@ def replay(
         raise InputError(
             f"slowdown: {in_short(slowdown)} given, a number of at least 1 expected", value=slowdown
         )
-    if isinstance(motion, ManyHit):
-        text = _many_page(robot, motion, q)
-    elif isinstance(motion, (Hit, ImpactRecord)):
+    if isinstance(motion, (Hit, ManyHit, ImpactRecord)):
         text = _impact_page(robot, motion, contacts, q)
     elif isinstance(motion, Trajectory):
         text = _motion_page(robot, motion, contacts, speed, float(slowdown))
@@ -240,50 +239,62 @@ def _motion_page(
     lit = lit_shapes(robot, trajectory, [*contacts, *paired])
     solids = dict.fromkeys(contact.pair.plane for contact in paired if contact.pair is not None)
     shown = [solid for solid in solids if not isinstance(solid, Shape)]  # the robot has those itself
-    cloud = cloud_as_data(model, others, start, end)
+    cloud = _cloud_as_data(model, others, start, end)
     return _page(
         robot, model, times, configurations, contacts, forces, marks, settings, modes, lit, shown, cloud
     )
 
 
-def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact] | None, q: Any) -> str:
-    contacts = given
-    if isinstance(impact, Hit):
-        contacts = [impact.contact] if given is None else given
-        source = contacts[0].label
+def _cloud_as_data(
+    model: pin.Model, others: Sequence[Trajectory], start: float, end: float
+) -> dict[str, Any] | None:
+    """Return motions as data for the player, and their last configurations; None without any.
+
+    From the start to the end of the replay [s]; a motion that ended earlier stays where it is.
+    """
+    if not others:
+        return None
+    count = int(np.clip(np.ceil((end - start) * FRAMES_PER_SECOND), 1, CLOUD_FRAMES)) + 1
+    times = np.linspace(start, end, count)
+    robots = []
+    for other in others:
+        poses = joint_poses(model, [other.at(min(float(t), float(other.t[-1])))[0] for t in times])
+        moving = [joint for joint in range(1, model.njoints) if np.ptp(poses[:, joint], axis=0).any()]
+        robots.append({str(joint): packed(poses[:, joint]) for joint in moving})
+    return {"times": packed(times, np.float64), "robots": robots, "ends": [other.q[-1] for other in others]}
+
+
+def _impact_page(
+    robot: Any, impact: Hit | ManyHit | ImpactRecord, given: Sequence[Contact] | None, q: Any
+) -> str:
+    """Return the page of one impact, in which the robot, if there is one, does not move."""
+    model, drawn = pin.Model() if robot is None else model_of(robot), []
+    if robot is not None:
+        q = impact.q if q is None and isinstance(impact, ImpactRecord) else q
+        if q is None:
+            raise InputError("q: missing; a hit does not have the configuration of the robot, give q=")
+        q = finite_array("q", q, (model.nq,))
+    if isinstance(impact, ManyHit):
+        mark, drawn = many_mark(impact), [] if robot is None else _contacts(model, impact.contacts)
     else:
-        source, q = impact.source, impact.q if q is None else q
-    if robot is None:
-        assert isinstance(impact, Hit)  # a robot is left out with a hit alone
-        mark = impact_mark(impact, source, {source: (np.zeros(3), impact.axes)})
-        return _page(None, pin.Model(), np.zeros(2), [np.zeros(0)] * 2, [], [], [mark], WITHIN, [])
-    model = model_of(robot)
-    q = _configuration(model, q)
-    drawn = [contact for contact in _contacts(model, contacts or ()) if contact.label == source][:1]
-    if not drawn:
-        raise InputError(
-            f"contacts: none is called {source!r}; give contacts=, those of the scene (impacts of "
-            "joint limits are not shown)",
-            value=given,
-        )
-    geometry = contact_geometry(model, data_of(model), q, drawn[0])
-    mark = impact_mark(impact, source, {source: (geometry.point, geometry.axes)})
-    return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
-
-
-def _many_page(robot: Any, hit: ManyHit, q: Any) -> str:
-    mark = many_mark(hit)
-    if robot is None:
-        return _page(None, pin.Model(), np.zeros(2), [np.zeros(0)] * 2, [], [], [mark], WITHIN, [])
-    model = model_of(robot)
-    q, drawn = _configuration(model, q), _contacts(model, hit.contacts)
-    return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
-
-
-def _configuration(model: pin.Model, q: Any) -> Array:
-    if q is None:
-        raise InputError("q: missing; a hit does not have the configuration of the robot, give q=")
-    return finite_array("q", q, (model.nq,))
+        contacts = [impact.contact] if given is None and isinstance(impact, Hit) else given or ()
+        source = contacts[0].label if isinstance(impact, Hit) else impact.source
+        if robot is None:
+            assert isinstance(impact, Hit)  # a robot is left out with a hit alone
+            place = np.zeros(3), impact.axes
+        else:
+            drawn = [contact for contact in _contacts(model, contacts) if contact.label == source][:1]
+            if not drawn:
+                raise InputError(
+                    f"contacts: none is called {source!r}; give contacts=, those of the scene (impacts of "
+                    "joint limits are not shown)",
+                    value=given,
+                )
+            geometry = contact_geometry(model, data_of(model), q, drawn[0])
+            place = geometry.point, geometry.axes
+        mark = impact_mark(impact, source, {source: place})
+    still = np.zeros(0) if robot is None else q
+    return _page(robot, model, np.zeros(2), [still] * 2, drawn, [None] * len(drawn), [mark], WITHIN, [])
 
 
 def _scales(marks: Sequence[ImpactMark], forces: Sequence[Array | None], size: float) -> dict[str, Any]:
