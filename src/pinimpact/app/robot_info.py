@@ -33,7 +33,10 @@ def suggested_frames(model: pin.Model) -> list[int]:
     names = Counter(frame.name for frame in model.frames)
     outer = {j for j in range(1, model.njoints) if not len(model.children[j])}
     order = (FEET, TOOLS, TIPS) if free_base(model) else (TOOLS, FEET, TIPS)
-    kinds = [_kind_of_frame(frame.name, order) for frame in model.frames]
+    kinds = [
+        next((k for k, words in enumerate(order) if re.search(words, _words(frame.name))), len(order))
+        for frame in model.frames
+    ]
     for i in _chain_ends(model):
         joint, parent, passed = model.frames[i].parentJoint, model.frames[i].parentFrame, {i}
         # reduced models have circles
@@ -84,10 +87,6 @@ def _chain_ends(model: pin.Model) -> list[int]:
 def _words(name: str) -> str:
     """Return a name in lower case with spaces between its words."""
     return re.sub(r"[^a-z]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
-
-
-def _kind_of_frame(name: str, order: tuple[str, ...]) -> int:
-    return next((k for k, words in enumerate(order) if re.search(words, _words(name))), len(order))
 
 
 def free_base(model: pin.Model) -> bool:

@@ -82,8 +82,9 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
         tips = tips_of(solid, rim_points)
     elif hasattr(solid, "vertices") or hasattr(solid, "points"):  # a mesh, whatever its tree of volumes
         mesh = hasattr(solid, "vertices")
-        points = _known_hull(shapes, shape, solid.vertices() if mesh else solid.points())
-        tips = _points("mesh" if mesh else "convex shape", points, "vertex")
+        points, name = np.array(solid.vertices() if mesh else solid.points(), dtype=np.float64), shape.name
+        corners = remembered(_hulls, shapes, name, points, lambda: extreme_points(points, name))
+        tips = _points("mesh" if mesh else "convex shape", corners, "vertex")
     else:
         raise InputError(
             f"geometry: {shape.name!r} is a {kind}, which is not supported; a box, sphere, capsule, "
@@ -170,13 +171,6 @@ def remembered(
     if found is None or not np.array_equal(found[0], points):
         found = known[1][name] = points, make()
     return found[1]
-
-
-def _known_hull(shapes: pin.GeometryModel, shape: pin.GeometryObject, vertices: Any) -> Array:
-    """Return the extreme points of the vertices of a shape."""
-    name, points = shape.name, np.array(vertices, dtype=np.float64)
-    found: Array = remembered(_hulls, shapes, name, points, lambda: extreme_points(points, name))
-    return found
 
 
 def extreme_points(points: Array, name: str) -> Array:

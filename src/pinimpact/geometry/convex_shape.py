@@ -196,7 +196,8 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
     if kind.startswith("BVHModel"):
         points = np.array(geometry.vertices(), dtype=np.float64)
         found = hull(points, name)
-        depth = _deepest(found, points)
+        offsets = found.at(np.eye(3), np.zeros(3)).offsets[:, None]
+        depth = float((offsets - found.normals @ points.T).min(axis=0).max())  # in the hull [m]
         if depth > NOT_CONVEX * found.reach:
             warnings.warn(
                 f"geometry: the mesh of {name!r} is not convex: its convex hull is used, whose "
@@ -208,12 +209,6 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
     what = "boxes, spheres, capsules, cylinders, cones, convex hulls and meshes (their hulls)"
     what = f"geometry: {name!r} is a {kind}; {what} can make contact with another shape"
     raise InputError(what, field="geometry", value=name)
-
-
-def _deepest(found: ConvexShape, points: Array) -> float:
-    """Return the largest depth of the points inside the hull [m]."""
-    offsets = np.array([found.normals[k] @ found.vertices[face[0]] for k, face in enumerate(found.faces)])
-    return float((offsets[:, None] - found.normals @ points.T).min(axis=0).max())
 
 
 def _coplanar(normals: Array) -> list[Integers]:

@@ -358,15 +358,16 @@ def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> floa
 
     Pinocchio's own sum omits the rotor inertia of joints with slanted axes, which its M has.
     """
-    parts = parts_of(model, data)
-    return sum(_kinetic_energy(part.model, part.data, q[part.q], v[part.v]) for part in parts)
-
-
-def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
-    if not model.armature.any():
-        return float(pin.computeKineticEnergy(model, data, q, v))
-    upper = np.triu(pin.crba(model, data, q))
-    return float(v @ (upper @ v) - 0.5 * (v * v) @ upper.diagonal())
+    total = 0.0
+    for part in parts_of(model, data):
+        state = part.model, part.data, q[part.q]
+        own = v[part.v]
+        if part.model.armature.any():
+            upper = np.triu(pin.crba(*state))
+            total += float(own @ (upper @ own) - 0.5 * (own * own) @ upper.diagonal())
+        else:
+            total += float(pin.computeKineticEnergy(*state, own))
+    return total
 
 
 def _forget(key: tuple[int, Any]) -> Any:

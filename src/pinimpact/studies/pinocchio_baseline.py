@@ -19,13 +19,6 @@ SOLVERS = ("admm", "pgs")
 MAX_ITERATIONS = 100_000
 
 
-def _settings(settings: pin.ADMMSolverSettings | pin.PGSSolverSettings) -> None:
-    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = COMPUTED
-    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = COMPUTED
-    settings.max_iterations = MAX_ITERATIONS
-    settings.solve_ncp = True
-
-
 def solve_constraint(
     delassus: ArrayLike, velocity: ArrayLike, friction: float, solver: str = "admm"
 ) -> tuple[Array, Array]:
@@ -44,11 +37,14 @@ def solve_constraint(
     constraints, data = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
     constraints.append(pin.ConstraintModel(contact))
     data.append(constraints[0].createData())
-    if solver == "admm":
-        run, settings, result = pin.ADMMConstraintSolver(3), pin.ADMMSolverSettings(), pin.ADMMSolverResult()
-    else:
-        run, settings, result = pin.PGSConstraintSolver(3), pin.PGSSolverSettings(), pin.PGSSolverResult()
-    _settings(settings)
+    kind = solver.upper()
+    run, settings, result = (
+        getattr(pin, f"{kind}{what}")(*size)
+        for what, size in (("ConstraintSolver", (3,)), ("SolverSettings", ()), ("SolverResult", ()))
+    )
+    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = COMPUTED
+    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = COMPUTED
+    settings.max_iterations, settings.solve_ncp = MAX_ITERATIONS, True
     operator = pin.DelassusOperatorDense(np.asfortranarray(W))
     if not run.solve(operator, v.copy(), constraints, data, settings, result):
         return np.full(3, np.nan), np.full(3, np.nan)

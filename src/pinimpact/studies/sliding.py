@@ -68,7 +68,9 @@ def identify_sliding(
     kinds = as_tuple("free", free, str, "a parameter")
     names = [name for kind in kinds for name in _NAMES[choice("free", kind, _NAMES, "a parameter")]]
     closed, slowest = above_zero("closed", closed), above_zero("slowest", slowest)
-    _check_effects(kinds, scene)
+    for kind, effect in (("sliding_friction", "contact friction"), ("gravity", "gravity")):
+        if kind in kinds and effect in scene.without:
+            raise InputError(f"free: {kind} is free, but the scene is without {effect}", value=kinds)
     axes = _axes(scene)
     body = Body.of(scene)
     slides = [
@@ -112,13 +114,6 @@ def identify_sliding(
     return fit(
         residual, jacobian, bounds, group, loss, lambda name, x: "", setters=setters, slides=len(slides)
     )
-
-
-def _check_effects(kinds: Sequence[str], scene: Scene) -> None:
-    """Raise `InputError` if a free parameter is of an effect that the scene switches off."""
-    for kind, effect in (("sliding_friction", "contact friction"), ("gravity", "gravity")):
-        if kind in kinds and effect in scene.without:
-            raise InputError(f"free: {kind} is free, but the scene is without {effect}", value=kinds)
 
 
 def _axes(scene: Scene) -> Array:

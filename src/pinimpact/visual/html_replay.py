@@ -335,8 +335,10 @@ def _page(
 ) -> str:
     """Return the page of a motion at times (m,), in configurations of the same number."""
     poses = joint_poses(model, configurations)
-    ways = np.array([_way(model, configurations, contact) for contact in contacts])
-    ways = ways.reshape(len(contacts), len(times), 3)
+    data = data_of(model)
+    ways = np.array(
+        [[contact_geometry(model, data, q, contact).point for q in configurations] for contact in contacts]
+    ).reshape(len(contacts), len(times), 3)
     shapes = getattr(robot, "visual_model", None)
     points = outline(model, shapes, [*configurations, *([] if cloud is None else cloud.pop("ends"))])
     points = np.vstack(
@@ -412,12 +414,6 @@ def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
         f"robot: {model.name!r} is not the robot of the trajectory: {what}; give the one that was simulated",
         value=model.name,
     )
-
-
-def _way(model: pin.Model, configurations: Sequence[Array], contact: Contact) -> Array:
-    """Return the path of a contact's point, (frames, 3) in world axes."""
-    data = data_of(model)
-    return np.array([contact_geometry(model, data, q, contact).point for q in configurations])
 
 
 def _forces(trajectory: Trajectory, name: str, times: Array) -> Array | None:

@@ -68,30 +68,22 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
 
     viewer = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
     own = files(__package__) / "page"
+    # commands one after another, each with its length before it
+    whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
     return Template((own / "page.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
-        shapes=_shapes(commands),
-        motion=_data(motion),
+        shapes=base64.b64encode(gzip.compress(whole, 6, mtime=0)).decode("ascii"),
+        motion=json.dumps(motion, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         viewer=_script(viewer.read_text(encoding="utf-8")),
         drawing=_script((own / "drawing.js").read_text(encoding="utf-8")),
         player=_script((own / "player.js").read_text(encoding="utf-8")),
     )
 
 
-def _shapes(commands: list[bytes]) -> str:
-    """Return commands one after another, each with its length before it, compressed, in base64."""
-    whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
-    return base64.b64encode(gzip.compress(whole, 6, mtime=0)).decode("ascii")
-
-
 def packed(numbers: Any, kind: type[np.floating[Any]] = np.float32) -> str:
     """Return an array for the player: its little-endian bytes in base64."""
     array = np.ascontiguousarray(numbers, dtype=np.dtype(kind).newbyteorder("<"))
     return base64.b64encode(array.tobytes()).decode("ascii")
-
-
-def _data(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
 
 
 def _script(text: str) -> str:

@@ -35,7 +35,9 @@ def distributions(columns: Mapping[str, NDArray[Any]]) -> Figure:
         if values.dtype.kind in "fiu":
             _histogram(ax, values)
         else:
-            _bars(ax, values)
+            names, counts = np.unique(values.astype(str), return_counts=True)
+            ax.barh([str(name) or "none" for name in names], counts / len(values), color=COMPRESSION)
+            ax.set_xlim(0.0, 1.0)
     return figure
 
 
@@ -48,9 +50,3 @@ def _histogram(ax: Axes, values: NDArray[Any]) -> None:
     ax.hist(values, bins=min(BARS, max(len(np.unique(values)), 1)), color=FLOW)
     for level, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
         ax.axvline(float(np.quantile(values, level)), color=RESTITUTION, ls=style)
-
-
-def _bars(ax: Axes, values: NDArray[Any]) -> None:
-    names, counts = np.unique(values.astype(str), return_counts=True)
-    ax.barh([str(name) or "none" for name in names], counts / len(values), color=COMPRESSION)
-    ax.set_xlim(0.0, 1.0)
