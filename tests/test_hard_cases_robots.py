@@ -121,6 +121,39 @@ def test_10_a_mass_matrix_that_is_singular_is_named(rng):
         pinimpact.impact(model, model.createData(), *struck_blindly(model, rng))
 
 
+def head(apart):
+    """A free body and a point mass on a neck of three axes, the last a little beside where others meet."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(3.0, 0.3, 0.2, 0.1), pin.SE3.Identity())
+    corner = pin.SE3(np.eye(3), np.array([0.15, 0.1, -0.05]))
+    model.addFrame(pin.Frame("tip", joint, 0, corner, pin.FrameType.OP_FRAME))
+    for name, axis, place in (
+        ("pitch", pin.JointModelRY(), [0.03, 0.02, 0.2]),
+        ("roll", pin.JointModelRX(), [0.0, 0.0, 0.0]),
+        ("yaw", pin.JointModelRZ(), [0.0, apart, 0.0]),
+    ):
+        joint = model.addJoint(joint, axis, pin.SE3(np.eye(3), np.array(place)), name)
+    mass = pin.Inertia(1.3, np.array([0.1, 1e-6, 0.12]), np.zeros((3, 3)))  # next to the plane of two axes
+    model.appendBodyToJoint(joint, mass, pin.SE3.Identity())
+    return model
+
+
+def test_10_joints_that_together_move_no_inertia_are_named():
+    """A point mass does not resist a turn about the line to where its axes meet; each pivot is positive."""
+    contact = pinimpact.Contact("tip", pinimpact.Plane(), friction=0.3)
+    v = np.array([0.2, 0.0, -1.0, *np.zeros(6)])
+    for apart in (0.0, 1e-8):
+        model = head(apart)
+        told = r"joint '(pitch|roll|yaw)' \(velocity [678]\) moves no inertia"
+        with pytest.raises(pinimpact.ModelError, match=told):
+            pinimpact.impact(model, model.createData(), pin.neutral(model), v, contact)
+        with pytest.raises(pinimpact.ModelError, match=told):
+            pinimpact.simulate(pinimpact.Scene(model), pin.neutral(model), v, 0.1)
+    model = head(1e-4)
+    hit_and_ledger(model, pin.neutral(model), v, contact)
+
+
 def struck_blindly(model, rng):
     plane = pinimpact.Plane(normal=(0, 0, 1))
     contact = pinimpact.Contact("tip", plane, friction=0.3, restitution=0.5)

@@ -71,7 +71,7 @@ def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     mass = pin.crba(model, data, q)
     with contextlib.suppress(np.linalg.LinAlgError):  # mostly clear, without a kernel
         pivots = np.diag(np.linalg.cholesky(mass[::-1, ::-1]))[::-1] ** 2
-        if (pivots > RANK * np.diag(mass)).all():
+        if (np.diag(mass) / pivots).prod() < 1.0 / RANK:
             return
     parents = np.array(data.parents_fromRow, dtype=np.int64)
     stopped = tree.factor(mass, parents, np.zeros_like(mass))

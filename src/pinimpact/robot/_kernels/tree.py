@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
-from ..._compile.jit import inlined, jit
+from ..._compile.jit import external, inlined, jit
+from ..._numeric.tolerances import EPS
 
-EPS = 2.0**-52
+KNOWN = 10.0
+"""Rounding, n ε, of M_kk is at most this part of the inertia that velocity k moves while all others are free:
+it is then known to a tenth."""
 
 
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
@@ -20,10 +25,10 @@ EPS = 2.0**-52
 def factor(mass, parents, lower):
     """Fill lower (nv, nv) with L of M; entries of velocities that are not ancestors do not change.
 
-    parents (nv,) are the next velocities towards the root, or −1. Returns −1, or the first velocity whose
-    inertia, with its subtree free to move, is not positive.
+    parents (nv,) are the next velocities towards the root, or −1. Returns −1, or a velocity whose
+    inertia, with all others free to move, is zero within rounding. (1.9)
     """
-    n = mass.shape[0]
+    n, growth = mass.shape[0], 1.0
     for i in range(n):
         j = i
         while j >= 0:
@@ -31,8 +36,9 @@ def factor(mass, parents, lower):
             j = parents[j]
     for k in range(n - 1, -1, -1):
         pivot = lower[k, k]
-        if not pivot > n * EPS * mass[k, k]:
+        if not pivot > 0.0:
             return k
+        growth *= mass[k, k] / pivot
         root = math.sqrt(pivot)
         inverse = 1.0 / root
         lower[k, k] = root
@@ -48,7 +54,39 @@ def factor(mass, parents, lower):
                 lower[i, j] -= x * lower[k, j]
                 j = parents[j]
             i = parents[i]
-    return -1
+    if math.e * growth * KNOWN * n * EPS < 1.0:  # M_kk (M⁻¹)_kk ≤ e · growth, from the determinant
+        return -1
+    return _without_inertia(mass, parents, lower)
+
+
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, result=int)
+@external
+def _without_inertia(mass, parents, lower):
+    """Return the velocity k of the largest M_kk (M⁻¹)_kk if rounding decides that, else −1."""
+    n = mass.shape[0]
+    growth, row = np.empty(n), np.empty(n)
+    found, most = -1, 1.0 / (KNOWN * n * EPS)
+    for k in range(n):
+        before = parents[k]
+        growth[k] = mass[k, k] / lower[k, k] ** 2 * (growth[before] if before >= 0 else 1.0)
+        if math.e * growth[k] < most:  # only ancestors matter
+            continue
+        i = k
+        while i >= 0:
+            row[i] = 0.0
+            i = parents[i]
+        row[k], total, i = mass[k, k] ** 0.5, 0.0, k
+        while i >= 0:  # L⁻ᵀ of a unit vector
+            x = row[i] / lower[i, i]
+            total += x * x
+            j = parents[i]
+            while j >= 0:
+                row[j] -= x * lower[i, j]
+                j = parents[j]
+            i = parents[i]
+        if not total < most:
+            found, most = k, total
+    return found
 
 
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
