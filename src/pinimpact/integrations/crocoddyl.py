@@ -49,34 +49,25 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
         super().__init__(state, 0, costs.nr)
         self.contacts, self.costs = found if len(found) > 1 else found[0], costs
 
-    def createData(self) -> ActionDataImpact:
+    def createData(self) -> ActionData:
         """Return data for `calc` and `calcDiff`."""
-        return ActionDataImpact(self)
+        return ActionData(self)
 
-    def calc(self, data: ActionDataImpact, x: Any, u: Any = None) -> None:
+    def calc(self, data: ActionData, x: Any, u: Any = None) -> None:
         """Set `xnext` and `cost`."""
-        model = self.state.pinocchio
-        q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
-        v = self._after(data, q, v)
-        data.xnext = np.concatenate((q, v))
-        pin.forwardKinematics(model, data.pinocchio, q, np.array(x[model.nq :]))
-        pin.updateFramePlacements(model, data.pinocchio)
+        q, v = _observed(self.state.pinocchio, data, x)
+        data.xnext = np.concatenate((q, self._after(data, q, v)))
         self.costs.calc(data.costs, x)
         data.cost = data.costs.cost
 
-    def calcDiff(self, data: ActionDataImpact, x: Any, u: Any = None) -> None:
+    def calcDiff(self, data: ActionData, x: Any, u: Any = None) -> None:
         """Set `Fx`, and `Lx` and `Lxx` of the costs."""
-        model = self.state.pinocchio
-        q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
-        nv = model.nv
+        (q, v), nv = _observed(self.state.pinocchio, data, x, True), self.state.nv
         data.Fx = np.vstack((np.eye(nv, 2 * nv), self._slopes(data, q, v)))
-        pin.computeForwardKinematicsDerivatives(model, data.pinocchio, q, v, np.zeros(nv))
-        pin.computeJointJacobians(model, data.pinocchio, q)
-        pin.updateFramePlacements(model, data.pinocchio)
         self.costs.calcDiff(data.costs, x)
         data.Lx, data.Lxx = np.array(data.costs.Lx), np.array(data.costs.Lxx)
 
-    def _after(self, data: ActionDataImpact, q: Any, v: Any) -> Any:
+    def _after(self, data: ActionData, q: Any, v: Any) -> Any:
         """Return v⁺, NaN where it does not exist."""
         model = self.state.pinocchio
         if isinstance(self.contacts, Contact):
@@ -86,7 +77,7 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
         except (UnstoppableApproachError, LawError):
             return np.full(model.nv, np.nan)
 
-    def _slopes(self, data: ActionDataImpact, q: Any, v: Any) -> Any:
+    def _slopes(self, data: ActionData, q: Any, v: Any) -> Any:
         """Return ∂v⁺/∂x. An error that passes through Crocoddyl ends the process, so NaN stands for it."""
         model = self.state.pinocchio
         try:
@@ -94,18 +85,6 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
         except (UnstoppableApproachError, LawError):
             return np.full((model.nv, 2 * model.nv), np.nan)
         return np.hstack((d.dv_dq, d.dv_dv))
-
-
-class ActionDataImpact(crocoddyl.ActionDataAbstract):
-    """Data of `ActionModelImpact`."""
-
-    def __init__(self, model: ActionModelImpact) -> None:
-        super().__init__(model)
-        robot = model.state.pinocchio
-        self.impact, self.pinocchio = robot.createData(), robot.createData()
-        self.collector = crocoddyl.DataCollectorMultibody(self.pinocchio)
-        self.costs = model.costs.createData(self.collector)
-        self.costs.shareMemory(self)
 
 
 class ActionModelStep(crocoddyl.ActionModelAbstract):
@@ -138,16 +117,13 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
         super().__init__(costs.state, nu, costs.nr)
         self.scene, self.dt, self.costs, self.options = scene, above_zero("dt", dt), costs, options
 
-    def createData(self) -> ActionDataStep:
+    def createData(self) -> ActionData:
         """Return data for `calc` and `calcDiff`."""
-        return ActionDataStep(self)
+        return ActionData(self)
 
-    def calc(self, data: ActionDataStep, x: Any, u: Any = None) -> None:
+    def calc(self, data: ActionData, x: Any, u: Any = None) -> None:
         """Set `xnext` and `cost`; without u the cost of the state alone."""
-        model = self.state.pinocchio
-        q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
-        pin.forwardKinematics(model, data.pinocchio, q, v)
-        pin.updateFramePlacements(model, data.pinocchio)
+        q, v = _observed(self.state.pinocchio, data, x)
         if u is None:
             self.costs.calc(data.costs, x)
             data.xnext = np.array(x)
@@ -159,13 +135,9 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
                 data.xnext = np.full(len(x), np.nan)
         data.cost = data.costs.cost
 
-    def calcDiff(self, data: ActionDataStep, x: Any, u: Any = None) -> None:
+    def calcDiff(self, data: ActionData, x: Any, u: Any = None) -> None:
         """Set `Fx`, `Fu` and the derivatives of the costs."""
-        model, nv = self.state.pinocchio, self.state.nv
-        q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
-        pin.computeForwardKinematicsDerivatives(model, data.pinocchio, q, v, np.zeros(nv))
-        pin.computeJointJacobians(model, data.pinocchio, q)
-        pin.updateFramePlacements(model, data.pinocchio)
+        (q, v), nv = _observed(self.state.pinocchio, data, x, True), self.state.nv
         if u is None:
             self.costs.calcDiff(data.costs, x)
         else:
@@ -181,7 +153,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
     def _forces(self, u: Any) -> Any:
         return np.concatenate((np.zeros(self.state.nv - self.nu), u))
 
-    def _at(self, data: ActionDataStep, q: Any, v: Any) -> Stepper:
+    def _at(self, data: ActionData, q: Any, v: Any) -> Stepper:
         """Return a stepper in a state."""
         if data.stepper is None:
             data.stepper = Stepper(self.scene, q, v, **self.options)
@@ -190,16 +162,29 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
         return data.stepper
 
 
-class ActionDataStep(crocoddyl.ActionDataAbstract):
-    """Data of `ActionModelStep`."""
+class ActionData(crocoddyl.ActionDataAbstract):
+    """Data of `ActionModelImpact` and `ActionModelStep`."""
 
-    def __init__(self, model: ActionModelStep) -> None:
+    def __init__(self, model: ActionModelImpact | ActionModelStep) -> None:
         super().__init__(model)
+        robot = model.state.pinocchio
+        self.impact, self.pinocchio = robot.createData(), robot.createData()
         self.stepper: Stepper | None = None
-        self.pinocchio = model.state.pinocchio.createData()
         self.collector = crocoddyl.DataCollectorMultibody(self.pinocchio)
         self.costs = model.costs.createData(self.collector)
         self.costs.shareMemory(self)
+
+
+def _observed(model: pin.Model, data: ActionData, x: Any, slopes: bool = False) -> tuple[Any, Any]:
+    """Return q and v of a state; fill kinematics there for the costs, with derivatives if `slopes`."""
+    q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
+    if slopes:
+        pin.computeForwardKinematicsDerivatives(model, data.pinocchio, q, v, np.zeros(model.nv))
+        pin.computeJointJacobians(model, data.pinocchio, q)
+    else:
+        pin.forwardKinematics(model, data.pinocchio, q, v)
+    pin.updateFramePlacements(model, data.pinocchio)
+    return q, v
 
 
 @cache
