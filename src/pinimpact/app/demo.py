@@ -114,20 +114,10 @@ def run_demo(
     fixed base a control that compensates gravity and inertia keeps the joints at constant speed; a free base
     falls. Limits, damping and dry friction of the joints are ignored.
 
-    Args:
-        name: Name of the robot, or the path of its file.
-        frame: Frame of the contact point; None for a suggested hand or foot.
-        speed: Speed of the contact point at impact [m/s].
-        direction: Direction of its motion, (3,) in world axes, of any length. Components that the frame
-            cannot produce are left out.
-        normal: Normal of the table, (3,) in world axes, of any length; None for z or, if the frame cannot
-            move down, opposite to a direction in which it can move.
-        friction: Coulomb coefficient.
-        restitution: Coefficient of restitution.
-        law: Restitution law.
-
-    Raises:
-        PinimpactError: An unknown robot, or one that cannot make this impact; the message says why.
+    Arguments are the options of the command `demo`. Of the direction (3,), in world axes as the normal,
+    components that the frame cannot produce are left out; the default normal is z or, if the frame cannot
+    move down, opposite to a direction in which it can move. Raises `PinimpactError` for an unknown robot, or
+    one that cannot make this impact.
     """
     robot, frozen = _movable(load_robot(name), name)
     model, body = robot.model, Body(robot)

@@ -16,17 +16,7 @@ from ..checks import above_zero, as_tuple, at_least_zero, coefficient, in_short
 from ..contact_space.laws import law_code
 from ..display import short_repr
 from ..errors import InputError
-from ..geometry._kernels.constants import (
-    AXES,
-    CONSTANTS,
-    KIND,
-    LINE_AXIS,
-    POINT,
-    RADIUS,
-    RIM_AXIS,
-    SOLID,
-    TIP,
-)
+from ..geometry._kernels import constants as layout
 from ..geometry.collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
 from ..geometry.convex_pair import gap
 from ..geometry.plane import Plane
@@ -97,7 +87,8 @@ class Contact:
     def __post_init__(self) -> None:
         self._check_kind()
         keep = object.__setattr__
-        keep(self, "friction", at_least_zero("friction", self.friction))
+        for name in ("friction", "radius", "rim"):
+            keep(self, name, at_least_zero(name, getattr(self, name)))
         if self.sliding_friction is not None:
             keep(self, "sliding_friction", at_least_zero("sliding_friction", self.sliding_friction))
         keep(self, "stiffness", above_zero("stiffness", self.stiffness))
@@ -105,8 +96,6 @@ class Contact:
             keep(self, "restitution", coefficient("restitution", self.restitution))
         keep(self, "law_code", law_code(self.law))
         keep(self, "offset", vector("offset", self.offset))
-        keep(self, "radius", at_least_zero("radius", self.radius))
-        keep(self, "rim", at_least_zero("rim", self.rim))
         keep(self, "axis", unit_vector("axis", self.axis, "the axis of the rim"))
         if self.rim > 0.0 and not isinstance(self.plane, Plane):
             raise InputError(
@@ -130,7 +119,7 @@ class Contact:
         if not isinstance(self.name, (str, type(None))):
             raise InputError(f"name: {in_short(self.name)} given; text is expected", value=self.name)
         check_surface("plane", self.plane)
-        if self.geometry is None and self.plane.code == SOLID:
+        if self.geometry is None and isinstance(self.plane, Solid):
             raise InputError(
                 f"plane: only a collision shape can make contact with a {self.plane.kind}; give "
                 "geometry= instead of a frame",
@@ -234,12 +223,12 @@ def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Arr
         body = model.frames[frame_id(model, contact.plane.body, "body")]
         base, carrier = body.parentJoint, body.placement
     k = contact.constants.copy()
-    k[TIP:RADIUS] = frame.placement.act(k[TIP:RADIUS])
-    k[POINT:AXES] = carrier.act(k[POINT:AXES])
-    directions = k[AXES:KIND].reshape(-1, 3)
+    k[layout.TIP : layout.RADIUS] = frame.placement.act(k[layout.TIP : layout.RADIUS])
+    k[layout.POINT : layout.AXES] = carrier.act(k[layout.POINT : layout.AXES])
+    directions = k[layout.AXES : layout.KIND].reshape(-1, 3)
     directions[:] = directions @ carrier.rotation.T
-    k[RIM_AXIS:LINE_AXIS] = frame.placement.rotation @ k[RIM_AXIS:LINE_AXIS]
-    k[LINE_AXIS:CONSTANTS] = carrier.rotation @ k[LINE_AXIS:CONSTANTS]
+    k[layout.RIM_AXIS : layout.LINE_AXIS] = frame.placement.rotation @ k[layout.RIM_AXIS : layout.LINE_AXIS]
+    k[layout.LINE_AXIS : layout.CONSTANTS] = carrier.rotation @ k[layout.LINE_AXIS : layout.CONSTANTS]
     return tip, base, k
 
 
@@ -247,7 +236,7 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
     """Return the tips of a contact of a collision shape; see `Contact.tips`."""
     shape = find_shape(shapes, contact.geometry or "")
     found = shape_tips(shapes, shape, contact.rim_points)
-    if not isinstance(contact.plane, Plane) and (found.kind != "sphere" or contact.plane.code == SOLID):
+    if not isinstance(contact.plane, Plane) and (found.kind != "sphere" or isinstance(contact.plane, Solid)):
         raise InputError(
             f"geometry: {shape.name!r} is a {found.kind}, of which the points that touch a "
             f"{contact.plane.kind} depend on the configuration; it has tips with planes only",

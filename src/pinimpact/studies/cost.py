@@ -232,21 +232,13 @@ def run_cost(
     time_cap: float = 2.0,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Measure error against run time.
+    """Measure error against run time; a method that fails on a problem has NaN there.
 
-    Args:
-        problems: Problems by name; None for the standard ones.
-        methods: Names of registered methods; None for all.
-        repeats: Timings of each point; the best is used.
-        time_cap: Seconds after which a point is not timed again; a method is not measured at settings beyond
-            the first whose single call takes longer.
-        progress: Called with the name of each problem before it is measured.
-
-    Returns:
-        The `Report`. A method that fails on a problem has NaN there.
-
-    Raises:
-        PinimpactError: A problem without a solution, or an unknown method.
+    Problems by name and methods are the standard ones, and all, by default. Of `repeats` timings of each
+    point the best is used; a point is not timed again after `time_cap` [s], and a method is not measured at
+    settings beyond the first whose single call takes longer. `progress` is called with the name of each
+    problem before it is measured. Raises `PinimpactError` for a problem without a solution, or an unknown
+    method.
     """
     points: list[Point] = []
     contrasts: list[Contrast] = []
