@@ -93,13 +93,15 @@ class Sampling:
     def _checked(self, key: Any, distribution: Any, length: int) -> Any:
         """Return a distribution that gives numbers of the length of its key, or raise `InputError`."""
         needs = "rvs" if self.design == "random" else "ppf"
+
+        def refused(what: str) -> InputError:
+            return InputError(f"over[{key!r}]: {what} expected", field="over", value=distribution)
+
         # those of SciPy that are not frozen are called with their parameters
         if callable(distribution) or not callable(getattr(distribution, needs, None)):
-            raise InputError(
-                f"over[{key!r}]: {in_short(distribution)} given, a frozen distribution of scipy.stats with "
-                f"{needs} expected" + ("" if needs == "rvs" else f" by the design {self.design!r}"),
-                field="over",
-                value=distribution,
+            by = "" if needs == "rvs" else f", for the design {self.design!r},"
+            raise refused(
+                f"{in_short(distribution)} given, a frozen distribution of scipy.stats with {needs}{by}"
             )
         try:
             if needs == "rvs":
@@ -112,18 +114,10 @@ class Sampling:
         except PinimpactError:
             raise
         except Exception as error:
-            raise InputError(
-                f"over[{key!r}]: nothing can be drawn from {in_short(distribution)} ({error}); one "
-                "frozen with valid parameters expected",
-                field="over",
-                value=distribution,
-            ) from error
+            drawn_from = f"nothing can be drawn from {in_short(distribution)} ({error})"
+            raise refused(f"{drawn_from}; one frozen with valid parameters") from error
         if drawn not in ((), (length,)) or (drawn == () and length > 1):
-            raise InputError(
-                f"over[{key!r}]: draws of shape {drawn} given, {counted(length, 'number')} expected",
-                field="over",
-                value=distribution,
-            )
+            raise refused(f"draws of shape {drawn} given, {counted(length, 'number')}")
         return distribution
 
     def draw(self, first: int, count: int) -> Array:

@@ -133,9 +133,7 @@ class StudyFolder:
         file = self.path / STUDY
         if not file.exists():
             if any(self.path.glob("samples-*.parquet")):
-                raise InputError(
-                    f"out: {self.path} has samples but no {STUDY}; give another folder", value=str(self.path)
-                )
+                raise self._in_use(f"{self.path} has samples but no {STUDY};")
             aside = file.with_suffix(".part")
             aside.write_text(json.dumps(self.about, indent=1), encoding="utf-8")
             os.replace(aside, file)
@@ -151,24 +149,20 @@ class StudyFolder:
                 for name in ("samples", "seed", "design", "parameters")
                 if known.get(name) != self.about[name]
             ]
-            raise InputError(
-                f"out: {self.path} has another study "
-                f"({'; '.join(differs) or 'of another scene or settings'}); give another folder",
-                value=str(self.path),
-            )
+            how = "; ".join(differs) or "of another scene or settings"
+            raise self._in_use(f"{self.path} has another study ({how});")
         other = {name: v for name, v in self.about["versions"].items() if versions.get(name) != v}
         for name, version in other.items():
-            raise InputError(
-                f"out: the study in {self.path} was begun with {name} {versions.get(name)}, here is "
-                f"{version}; continue it with the same versions, or give another folder",
-                value=str(self.path),
-            )
+            begun = f"the study in {self.path} was begun with {name} {versions.get(name)}, here is {version}"
+            raise self._in_use(f"{begun}; continue it with the same versions, or")
         if not resume:
-            raise InputError(
-                f"out: {self.path} has this study already; continue it by resume=True (--resume), or "
-                "give another folder",
-                value=str(self.path),
+            raise self._in_use(
+                f"{self.path} has this study already; continue it by resume=True (--resume), or"
             )
+
+    def _in_use(self, why: str) -> InputError:
+        """Return the error for a folder that cannot have this study."""
+        return InputError(f"out: {why} give another folder", value=str(self.path))
 
     def file(self, first: int) -> Path:
         """Return the file of a chunk."""
