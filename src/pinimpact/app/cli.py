@@ -276,10 +276,10 @@ def run_ensemble(
 
     if resume and out is None:
         raise click.UsageError("--resume needs -o, the folder of the study.")
-    loaded = load_study(study)
+    run_study = load_study(study)
     folder = make_folder(out, ENSEMBLE_FILES, force=out is not None)  # a study that is there is not changed
     with simulating(quiet) as progress:
-        found = loaded.run(folder, workers, resume, progress)
+        found = run_study(executor=workers, out=folder, resume=resume, progress=progress)
     page = found.save_summary(folder / "summary.html")
     print_result(found.facts, found.summary, as_json, quiet, {"Samples": folder, "Summary": page})
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ from ..errors import InputError, UnknownNameError
 from ..studies.ensemble_result import Ensemble
 from ..studies.ensembles import ensemble
 from .scene_file import Table, Time, bundled_scenes, read_toml, validated
-from .scene_loader import LoadedScene, load_scene
+from .scene_loader import load_scene
 
 
 class StudyFile(Table):
@@ -35,42 +35,18 @@ class StudyFile(Table):
     """Distributions by parameter: ``distribution``, a name in `scipy.stats`, and its parameters."""
 
 
-@dataclass(frozen=True)
-class LoadedStudy:
-    """A study file that is ready to run."""
+def load_study(path: Path) -> Callable[..., Ensemble]:
+    """Read a study file and its scene; errors as in `load_scene`.
 
-    file: StudyFile
-    loaded: LoadedScene
-    over: dict[str | tuple[str, ...], Any]
-
-    def run(
-        self, out: Path, workers: int | None, resume: bool, progress: Callable[[int, int], None]
-    ) -> Ensemble:
-        """Run the ensemble; errors as in `ensemble`."""
-        loaded, file = self.loaded, self.file
-        return ensemble(
-            *(loaded.scene, loaded.q, loaded.v, file.duration or loaded.file.duration),
-            over=self.over,
-            samples=file.samples,
-            seed=file.seed,
-            design=file.design,
-            executor=workers,
-            out=out,
-            resume=resume,
-            progress=progress,
-            **loaded.file.options,
-        )
-
-
-def load_study(path: Path) -> LoadedStudy:
-    """Read a study file and its scene; errors as in `load_scene`."""
+    Returns `ensemble` with all arguments of the files; those of how it is run are left to the caller.
+    """
     file = validated(StudyFile, read_toml(path, "study", ()), path)
-    scene: str | Path = file.scene
-    if file.scene not in bundled_scenes():
-        scene = path.parent / file.scene
-    return LoadedStudy(
-        file, load_scene(scene), {name: _distribution(name, table) for name, table in file.over.items()}
-    )
+    bundled = file.scene in bundled_scenes()
+    loaded = load_scene(file.scene if bundled else path.parent / file.scene)
+    options: dict[str, Any] = file.model_dump(include={"samples", "seed", "design"}) | loaded.file.options
+    options["over"] = {name: _distribution(name, table) for name, table in file.over.items()}
+    duration = file.duration or loaded.file.duration
+    return partial(ensemble, loaded.scene, loaded.q, loaded.v, duration, **options)
 
 
 def _distribution(key: str, table: dict[str, float | str]) -> Any:
