@@ -14,9 +14,10 @@ from ..checks import finite_array
 from ..errors import InputError
 from ._kernels.robot_workspace import RobotWorkspace
 from .forest import Forest
-from .joint_limits import slack_bounds, warn_of_limits
+from .joint_limits import bounds, warn_of_limits
 from .names import frame_id, motion_signs
 from .pinocchio_bridge import flaw
+from .tolerances import SLACK
 from .tree_numbers import UNALIGNED, Tree, tree_of
 
 
@@ -43,7 +44,7 @@ class DataCache:
         self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
         self.flaw = flaw(model)
-        self.bounds = slack_bounds(model)
+        self.bounds = bounds(model) + np.array([[-SLACK], [SLACK]])
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         self.workspaces: dict[int, tuple[Any, RobotWorkspace | None]] = {}

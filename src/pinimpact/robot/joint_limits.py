@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..errors import JointLimitWarning
-from .tolerances import SLACK
 
 NO_BOUND = 1e300
 """A bound of at least this size is infinite."""
@@ -56,11 +55,6 @@ def bounds(model: pin.Model) -> Array:
     for limit in joint_limits(model):
         found[0 if limit.sign > 0.0 else 1, limit.index_q] = limit.bound
     return found
-
-
-def slack_bounds(model: pin.Model) -> Array:
-    """Return `bounds` with `SLACK`, the tolerance of the warning."""
-    return bounds(model) + np.array([[-SLACK], [SLACK]])
 
 
 def degrees_hint(value: float) -> str:

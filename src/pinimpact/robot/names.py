@@ -174,17 +174,12 @@ class ShapedRobot(NamedTuple):
 
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:
     """Return the error for a mass matrix whose factorization stops at a velocity."""
-    joint = next(
-        j
-        for j, (start, count) in enumerate(zip(model.idx_vs, model.nvs, strict=True))
-        if start <= velocity < start + count
-    )
-    name = model.names[joint]
+    name = joint_of_velocity(model, velocity)
     reason = (
         f"moves no inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock "
         "the joint"
     )
-    for carried in model.subtrees[joint]:
+    for carried in model.subtrees[model.getJointId(name)]:
         mass = model.inertias[carried].mass
         if not np.isfinite(model.inertias[carried].toDynamicParameters()).all():
             reason = (
