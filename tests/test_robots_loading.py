@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -288,6 +289,72 @@ def test_a_robot_of_mujoco(mjcf):
     )
     gap = ground.gap(model, robot.data, robot.q0)
     assert trajectory.impacts[0].time == pytest.approx(np.sqrt(2 * gap / 3), rel=1e-8)
+
+
+ROD = '<geom type="capsule" fromto="0 0 0 .1 .02 -.4" size=".03"/>'
+PART = """<mujoco><compiler angle="radian" {compiler}/><option gravity="1 2 -3"/>{option}<worldbody>
+<body pos="0 0 1" {body}><joint name="a" axis="0 1 .3" {joint}/>{rod}</body></worldbody></mujoco>"""
+
+
+def part_of_mujoco(path, compiler="", option="", body="", joint=""):
+    path.write_text(PART.format(compiler=compiler, option=option, body=body, joint=joint, rod=ROD))
+    return path
+
+
+def test_limits_of_mujoco_are_those_of_the_file(tmp_path):
+    text = """<mujoco><worldbody><body name="one" pos="0 0 1"><freejoint/>{rod}
+      <body name="two"><joint name="a" axis="0 1 0" ref="30" range="-50 100"/>{rod}
+        <body name="three"><joint name="b" type="slide" axis="1 0 0" ref=".2" range="-1 3"/>{rod}</body>
+      </body></body></worldbody></mujoco>"""
+    path = tmp_path / "x.xml"
+    path.write_text(text.format(rod=ROD))
+    robot = pinimpact.load_robot(path)
+    model = robot.model
+    np.testing.assert_allclose(robot.q0, [0, 0, 1, 0, 0, 0, 1, np.pi / 6, 0.2], rtol=1e-15)
+    np.testing.assert_allclose(model.lowerPositionLimit[7:], [np.deg2rad(-50.0), -1.0], rtol=1e-14)
+    np.testing.assert_allclose(model.upperPositionLimit[7:], [np.deg2rad(100.0), 3.0], rtol=1e-14)
+
+
+def test_the_last_gravity_of_mujoco_holds(tmp_path):
+    path = tmp_path / "x.xml"
+    twice = part_of_mujoco(path, option='<option timestep=".1"/><option gravity="0 1 -4"/>')
+    assert pinimpact.load_robot(twice).model.gravity.linear.tolist() == [0, 1, -4]
+    without = part_of_mujoco(path, option='<option><flag gravity="disable"/></option>')
+    assert pinimpact.load_robot(without).model.gravity.linear.tolist() == [0, 0, 0]
+
+
+def test_trees_of_mujoco_beside_the_first_are_named(tmp_path):
+    body = '<body name="{0}"><joint name="{0}"/>' + ROD + "</body>"
+    path = tmp_path / "x.xml"
+    still = '<body name="table"><geom type="box" size="1 1 1"/></body>'
+    path.write_text(f"<mujoco><worldbody>{body.format('a')}{still}</worldbody></mujoco>")
+    assert pinimpact.load_robot(path).model.nv == 1
+    path.write_text(f"<mujoco><worldbody>{''.join(map(body.format, 'abc'))}</worldbody></mujoco>")
+    with pytest.warns(UserWarning, match=r"moving bodies of .* beside the first \(b, c\) are left out"):
+        pinimpact.load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, ""),
+        ({"joint": 'damping=".3" armature=".02" frictionloss=".1" range="-1 2" ref=".5"'}, ""),
+        ({"joint": 'stiffness="20" springref=".3"'}, "springs, damping or other passive forces"),
+        ({"body": 'gravcomp="1"'}, "springs, damping or other passive forces"),
+        ({"joint": 'range="-1 2" limited="false"'}, "joint limits"),
+        ({"compiler": 'eulerseq="ZYX"', "body": 'euler=".3 .5 .7"'}, "gravity or axes"),
+        ({"compiler": 'boundmass="5" boundinertia=".1"'}, "inertia, gravity or axes"),
+        ({"joint": 'range="-1 2"/><joint type="slide" axis="1 0 0" ref=".3" range="-3 1"'}, ""),
+    ],
+)
+def test_what_differs_from_mujoco_is_named(tmp_path, changes, said):
+    pytest.importorskip("mujoco")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pinimpact.load_robot(part_of_mujoco(tmp_path / "x.xml", **changes))
+    texts = [str(warning.message) for warning in caught]
+    assert len(texts) == bool(said)
+    assert all(f"differs from MuJoCo's in {said}: " in text for text in texts)
 
 
 def test_a_mesh_of_mujoco_that_is_missing_costs_its_own_shape_only(mjcf):

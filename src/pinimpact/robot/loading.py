@@ -44,8 +44,8 @@ def load_robot(
 
     Args:
         robot: Name of a model of pinimpact (see `bundled_models`) or of example-robot-data, or the path of a
-            file: URDF, MuJoCo's MJCF (with its gravity, and its key "home" as ``q0``), or SDF if Pinocchio
-            is built with SDFormat, which the pip package is not.
+            file: URDF, MuJoCo's MJCF (with its gravity), or SDF if Pinocchio is built with SDFormat,
+            which the pip package is not.
         free_flyer: Whether the base is free. None: as in the named robot, and fixed for a file.
         mimic: Whether joints with a ``<mimic>`` tag follow the joint that it names, without a coordinate of
             their own: impacts support them, scenes do not, since Pinocchio has no forward dynamics for them.
@@ -54,8 +54,10 @@ def load_robot(
             folder, its parents, and those of the environment variable ROS_PACKAGE_PATH.
 
     Returns:
-        Pinocchio's RobotWrapper; ``q0`` is the configuration of a named robot or the key "home" of an MJCF
-        file, else `pin.neutral`. A warning names meshes that are not found; their shapes are left out.
+        Pinocchio's RobotWrapper; ``q0`` is the configuration of a named robot, or of an MJCF file its key
+        "home", or else its first key, or else that of its bodies; else `pin.neutral`. Warnings name meshes
+        that are not found, whose shapes are left out, and in what the robot of an MJCF file differs from
+        MuJoCo's, if MuJoCo is installed.
 
     Raises:
         UnknownNameError: There is no robot of that name; the message suggests similar names.

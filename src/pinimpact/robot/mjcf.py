@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -11,15 +12,23 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from ..arrays import Array
 from ..errors import ModelError
+
+SLIDES = "JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic"
+"""Names of joints whose coordinate is a length begin like this."""
+
+SAME = 1e-6
+"""Part of the largest inertia, force or limit to which two programs agree that integrate meshes otherwise."""
 
 
 def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
     """Return the robot of an MJCF file, or raise `ModelError`.
 
-    Its ``q0`` is the key called "home", or else the first key, or else that of the joints in the file.
-    Warnings name equality constraints, which are ignored, and meshes that are not found. `root_joint` is a
-    joint of the base, or () if the file has one.
+    Its ``q0`` is the key called "home", or else the first key, or else that of the bodies in the file.
+    Warnings name equality constraints, which are ignored, meshes that are not found and, if MuJoCo is
+    installed, in what the model differs from MuJoCo's. `root_joint` is a joint of the base, or () if the file
+    has one.
     """
     try:
         model = pin.buildModelAndConstraintsFromMJCF(str(path), *root_joint)[0]
@@ -28,9 +37,31 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         raise ModelError(
             f"robot: {path} is not an MJCF file that Pinocchio can read: {_last_line(error)}", value=str(path)
         ) from error
-    gravity = root.find("option[@gravity]")
-    if gravity is not None:
-        model.gravity.linear = np.array([float(x) for x in gravity.get("gravity", "").split()])
+    for option in root.findall("option[@gravity]"):  # the last one holds
+        model.gravity.linear = np.array([float(x) for x in option.get("gravity", "").split()])
+    if root.find("option/flag[@gravity='disable']") is not None:
+        model.gravity.linear = np.zeros(3)
+    keys = {entry.key(): entry.data() for entry in model.referenceConfigurations}
+    _correct_limits(model, root, keys.get("qpos0", np.zeros(model.nq)))
+    trees = [
+        tree
+        for tree in root.findall("worldbody/body")
+        if {"joint", "freejoint"} & {x.tag for x in tree.iter()}
+    ]
+    if len(trees) > 1:
+        names = ", ".join(tree.get("name", "unnamed") for tree in trees[1:])
+        warnings.warn(
+            f"the moving bodies of {path} beside the first ({names}) are left out; load them from files of "
+            "their own",
+            stacklevel=4,
+        )
+    different = [] if root_joint or len(trees) > 1 else _differences(model, path)
+    if different:
+        warnings.warn(
+            f"the robot of {path} differs from MuJoCo's in {', '.join(different)}: Pinocchio ignores "
+            "or reads otherwise a part of the file",
+            stacklevel=4,
+        )
     left_out = [constraint.tag for constraint in root.findall("equality/*")]
     if left_out:
         warnings.warn(
@@ -47,12 +78,90 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
             stacklevel=4,
         )
     robot = pin.RobotWrapper(model, *(shape for shape, _ in shapes))
-    keys = {entry.key(): entry.data() for entry in model.referenceConfigurations}
-    named = [key for key in keys if key != "qpos0"]
-    robot.q0 = np.array(keys.get("home", keys[named[0]] if named else robot.q0))
+    named = sorted(keys, key=lambda key: (key != "home", key == "qpos0"))
+    robot.q0 = np.array(keys[named[0]] if named else robot.q0)
     if len(robot.q0) != model.nq:  # a base that is added here has no coordinates in the file
         robot.q0 = pin.neutral(model)
     return robot
+
+
+@cache
+def _misread_limits() -> tuple[float, float]:
+    """Return what Pinocchio makes of a metre in limits where angles are in degrees, and of `ref`."""
+    text = """<mujoco><worldbody><body name="x"><joint name="x" type="slide" ref="1" range="0 1"/>
+        <geom size="1"/></body></worldbody></mujoco>"""
+    with tempfile.TemporaryDirectory() as temporary:
+        path = Path(temporary) / "slide.xml"
+        path.write_text(text)
+        model = pin.buildModelFromMJCF(str(path))
+    low, high = float(model.lowerPositionLimit[0]), float(model.upperPositionLimit[0])
+    return high - low, low
+
+
+def _correct_limits(model: pin.Model, root: ElementTree.Element, start: Array) -> None:
+    """Let limits be those of the file, whose own coordinates begin at `start`."""
+    metre, part = _misread_limits()
+    angles = [compiler.get("angle") for compiler in root.findall("compiler[@angle]")]
+    if angles[-1:] == ["radian"]:
+        metre = 1.0
+    for joint in model.joints[1:]:
+        if joint.nq != joint.nv:
+            continue
+        composite = joint.shortname() == "JointModelComposite"
+        for k, one in enumerate(joint.extract().joints if composite else [joint]):
+            i = joint.idx_q + k
+            unit = metre if one.shortname().startswith(SLIDES) else 1.0
+            at = start[i - model.nq]
+            for limits in (model.lowerPositionLimit, model.upperPositionLimit):
+                limits[i] = (limits[i] - part * at) / unit
+
+
+def _differences(model: pin.Model, path: Path) -> list[str]:
+    """Return in what a model differs from MuJoCo's of the file, if MuJoCo is installed and can read it."""
+    try:
+        import mujoco
+
+        theirs = mujoco.MjModel.from_xml_path(str(path))
+    except (ImportError, ValueError):
+        return []
+    if theirs.nv != model.nv:
+        return [f"the number of its velocities ({model.nv}, there {theirs.nv})"]
+    state, data, v = mujoco.MjData(theirs), model.createData(), np.random.default_rng(0).normal(size=model.nv)
+    mujoco.mj_integratePos(theirs, state.qpos, v, 0.3)
+    q, free, ball = state.qpos.copy(), int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+    axes, limits = np.eye(model.nv), np.full((2, model.nq), [[-np.inf], [np.inf]])
+    for kind, i, k, limited, ends in zip(
+        *(theirs.jnt_type, theirs.jnt_qposadr, theirs.jnt_dofadr, theirs.jnt_limited, theirs.jnt_range),
+        strict=True,
+    ):
+        if kind in (free, ball):
+            turn = slice(i + 3, i + 7) if kind == free else slice(i, i + 4)
+            q[turn] = np.roll(q[turn], -1)
+            limits[:, i : turn.stop] = np.nan
+        elif limited:
+            limits[:, i] = ends
+        if kind == free:  # velocities in world axes there, and in those of the body here, which turn
+            axes[k : k + 3, k : k + 3] = pin.Quaternion(q[turn]).matrix()
+            v[k : k + 3] = 0.0
+    state.qvel[:] = v
+    mujoco.mj_forward(theirs, state)
+    mass, products = pin.crba(model, data, q), np.empty((model.nv, model.nv))
+    for product, column in zip(products, axes.T, strict=True):
+        mujoco.mj_mulM(theirs, state, product, column.copy())
+    bounds = np.array([model.lowerPositionLimit, model.upperPositionLimit])
+    compared = {
+        "inertia": (np.triu(mass), np.triu(products @ axes)),
+        "gravity or axes": (pin.nonLinearEffects(model, data, q, v), axes.T @ state.qfrc_bias),
+        "springs, damping or other passive forces": (-model.damping * v, axes.T @ state.qfrc_passive),
+        "dry friction": (model.friction, theirs.dof_frictionloss),
+        "joint limits": (np.where(np.isnan(limits), limits, bounds), limits),
+    }
+    different = []
+    for name, (ours, other) in compared.items():
+        much = SAME * np.abs(other[np.isfinite(other)]).max(initial=1e-9)
+        if not np.allclose(ours, other, rtol=0.0, atol=much, equal_nan=True):
+            different.append(name)
+    return different
 
 
 def _shapes(model: pin.Model, path: Path, kind: pin.GeometryType) -> tuple[pin.GeometryModel, list[str]]:
