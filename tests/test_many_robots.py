@@ -338,13 +338,13 @@ def test_impacts_one_after_another_that_do_not_end_come_to_their_limit():
 
 
 def test_a_replay_shows_all_contacts_of_an_impact_at_once(landing):
-    from pinimpact.visual.impact_marks import group_mark
+    from pinimpact.visual.impact_marks import impact_mark
 
     model, q = landing
     motion = simulate(Scene(model, contacts=feet(restitution=0.5)), q, np.zeros(model.nv), 0.105)
     first = motion.impacts[:4]
     places = {impact.source: (np.zeros(3), np.eye(3)) for impact in first}
-    mark = group_mark(first, places, True, "four feet")
+    mark = impact_mark({one.source: one for one in first}, places, "four feet")
     assert mark.source == "four feet"
     assert [contact.name for contact in mark.contacts] == [impact.source for impact in first]
     for contact, impact in zip(mark.contacts, first, strict=True):

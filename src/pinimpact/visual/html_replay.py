@@ -33,7 +33,7 @@ from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
 from .film import FRAMES_PER_SECOND, frame_times, slowed, width_of_slowness
-from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark
+from .impact_marks import ImpactMark, impact_mark, many_mark
 from .page_file import Recorder, packed, page
 from .robot_shapes import (
     grid_square,
@@ -226,13 +226,10 @@ def _motion_page(
                 geometry = contact_geometry(model, data, impact.q, contact)
                 places[impact.source] = (geometry.point, geometry.axes)
         first = records[0]
-        marks.append(
-            impact_mark(first, first.source, places, first.time, on)
-            if first.group is None
-            else group_mark(
-                records, places, on, _counted(bodies.get(one.source, one.source) for one in records)
-            )
-        )
+        source = first.source
+        if first.group is not None:
+            source = _counted(bodies.get(one.source, one.source) for one in records)
+        marks.append(impact_mark({one.source: one for one in records}, places, source, first.time, on))
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
     modes = [[bodies.get(m.source, m.source), m.mode, m.start, m.end] for m in trajectory.modes]
@@ -292,7 +289,7 @@ def _impact_page(
                 )
             geometry = contact_geometry(model, data_of(model), q, drawn[0])
             place = geometry.point, geometry.axes
-        mark = impact_mark(impact, source, {source: place})
+        mark = impact_mark({source: impact}, {source: place}, source)
     still = np.zeros(0) if robot is None else q
     return _page(robot, model, np.zeros(2), [still] * 2, drawn, [None] * len(drawn), [mark], WITHIN, [])
 

@@ -12,7 +12,6 @@ from ..arrays import Array
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
 from ..robot.many_impact import ManyHit
-from ..scene.records import ImpactRecord
 from .smooth_path import invariant_directions, many_path, smooth_path
 
 EVERY = 3
@@ -129,47 +128,31 @@ def contact_mark(
 
 
 def impact_mark(
-    impact: OneImpact,
-    source: str,
+    impacts: Mapping[str, OneImpact],
     places: Mapping[str, tuple[Array, Array]],
+    source: str,
     time: float = 0.0,
     slow: bool = True,
 ) -> ImpactMark:
-    """Return the data of a `Hit` or an `ImpactRecord` for a replay, with the whole path if it is `slow`.
+    """Return the data of an impact for a replay, with the whole path if it is `slow`.
 
-    `places` are point (3,) and axes (3, 3) of each contact that takes part, by name.
+    `impacts` are the `Hit` or records of its contacts, by name, places point (3,) and axes (3, 3) of those
+    that are drawn.
     """
-    problem, solution = impact.problem, impact.solution
-    marks = [contact_mark(name, *place, problem, solution, slow) for name, place in places.items()]
+    problems = [impact.problem for impact in impacts.values()]
+    first = next(iter(impacts.values())).solution
+    marks = [
+        contact_mark(name, *places[name], impact.problem, impact.solution, slow)
+        for name, impact in impacts.items()
+        if name in places
+    ]
     return ImpactMark(
         time,
         source,
-        str(problem.law),
-        float(problem.restitution),
-        float(problem.friction),
-        -float(solution.work.total),
-        marks,
-        slow,
-    )
-
-
-def group_mark(
-    impacts: Sequence[ImpactRecord], places: Mapping[str, tuple[Array, Array]], slow: bool, source: str
-) -> ImpactMark:
-    """Return the data of an impact at several contacts for a replay, from one record per contact."""
-    problems = [impact.problem for impact in impacts]
-    marks = [
-        contact_mark(impact.source, *places[impact.source], impact.problem, impact.solution, slow)
-        for impact in impacts
-        if impact.source in places
-    ]
-    return ImpactMark(
-        impacts[0].time,
-        source,
-        impacts[0].solution.part_of.law,
+        problems[0].law if len(problems) == 1 else first.part_of.law,
         _same([problem.restitution for problem in problems]),
         _same([problem.friction for problem in problems]),
-        -sum(float(impact.solution.work.total) for impact in impacts),
+        -sum(float(impact.solution.work.total) for impact in impacts.values()),
         marks,
         slow,
     )
