@@ -127,7 +127,6 @@ NUMBERS = [
     (tolerances.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (tolerances.STEPS_GAIN, 1e-4, "add more than $10^{-4}$ of the kinetic energy of $v$"),
-    (tolerances.STEPS_SLOW, 1e-3, "is more than $10^{-3}$ of the resting speed the last term"),
     (scene_impacts.CROWD, 16, "more than 16 contacts of more than five islands touch"),
     (scene_impacts.FEW, 8, "with more than 8 contacts, and without collision, by events alone"),
     (instant.ISLANDS, 5, "of more than five islands touch"),

@@ -278,8 +278,8 @@ def test_nothing_passes_through_what_is_thinner_than_its_path_in_a_step(solid, r
     for start in (0.1, 0.1037, 0.1071):
         q, v = [-start, 0, 0, 0, 0, 0, 1], [speed, 0, 0, 0, 0, 0]
         trajectory = step(scene, q, v, 0.3 / speed, 1e-3)
-        # overlap by rounding is closed within a step
-        assert trajectory.v[-1, 0] == pytest.approx(-restitution * speed, abs=1e-9 * speed + 1e-8)
+        # overlap is closed within a step, at less than the speed of rest
+        assert trajectory.v[-1, 0] == pytest.approx(-restitution * speed, abs=1e-6)
 
 
 @pytest.mark.parametrize("first", [1e-7, 1e-4])
@@ -464,7 +464,8 @@ def boxes_patch(one, other, within=1e-2):
         (np.concatenate([turn.T.ravel(), center]), half) for turn, center, half in (one, other)
     )
     normal, points, others, gaps = np.empty(3), np.empty((8, 3)), np.empty((8, 3)), np.empty(8)
-    count = box_patch(a, half_a, b, half_b, within, normal, points, others, gaps)
+    kinds, edges = np.zeros(8, dtype=np.int64), np.zeros((2, 3))
+    count = box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds, edges)
     np.testing.assert_allclose(((points - others) @ normal)[:count], gaps[:count], atol=1e-14)
     return normal, gaps[:count], points[:count]
 

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .._numeric.tolerances import ROUNDING
-from ..arrays import Array
+from ..arrays import Array, Bools, Integers
+from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
 from .convex_pair import gap, touches
 from .convex_shape import PlacedShape, cross
-from .tolerances import COINCIDE, FACE, NEAREST
+from .tolerances import COINCIDE, FACE, NEAREST, TIE
 
 
 class Patch(NamedTuple):
@@ -25,6 +26,8 @@ class Patch(NamedTuple):
     points: Array  # (k, 3) of the first shape [m]
     others: Array  # (k, 3) of the second, opposite to them
     gaps: Array  # (k,) between them along the normal [m], negative where the shapes overlap
+    kinds: Integers  # (k,) codes of what meets there, see `box_patch`
+    edges: Array  # (2, 3) unit directions of the edges of the two that meet, as far as there are any
 
 
 def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
@@ -37,24 +40,35 @@ def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
     facing_b = b.normals @ normal if len(b.shape.faces) else np.zeros(0)
     best_a, best_b = facing_a.max(initial=0.0), facing_b.max(initial=0.0)
     if max(best_a, best_b) >= FACE:
-        if best_b >= best_a:
+        if best_b >= best_a - TIE:
             face = int(np.argmax(facing_b))
-            return _on_face(a, b, face, within, facing_a)
-        mirrored = _on_face(b, a, int(np.argmax(facing_a)), within, facing_b)
+            return _on_face(a, b, face, within, facing_a, PLANE)
+        mirrored = _on_face(b, a, int(np.argmax(facing_a)), within, facing_b, TIP_PLANE)
         if mirrored is None:
             return None
-        return Patch(-mirrored.normal, mirrored.others, mirrored.points, mirrored.gaps)
+        return Patch(-mirrored.normal, mirrored.others, mirrored.points, *mirrored[3:])
+    kind, edges = PLANE, np.zeros((2, 3))
     if len(a.shape.edges) and len(b.shape.edges):
-        near = [_nearest_of_edges(_foremost_edge(a, -normal), _foremost_edge(b, normal))]
+        pair = _foremost_edge(a, -normal), _foremost_edge(b, normal)
+        *ends, crosses = _nearest_of_edges(*pair)
+        near = [ends]
+        if crosses:
+            kind, edges = EDGE, _directions(*pair, normal)
     else:  # a ball against anything
         size = a.shape.reach + b.shape.reach
         found_points = touches(a, b, normal, NEAREST * size + abs(found.value))
-        near = [(touch.point, touch.other) for touch in found_points]
+        near = [[touch.point, touch.other] for touch in found_points]
+        if len(found_points) == 1:
+            name, (_, of_b) = found_points[0].kind, found_points[0].features
+            kind = {"vertex-vertex": SPHERE, "vertex-edge": LINE}.get(name, PLANE)
+            if kind == LINE:
+                edges[1] = b.edge(of_b) / np.linalg.norm(b.edge(of_b))
     if not near:
         return None
     points = np.array([point for point, _ in near]) - a.shape.radius * normal
     others = np.array([other for _, other in near]) + b.shape.radius * normal
-    return Patch(normal, points, others, (points - others) @ normal)
+    kinds = np.full(len(points), kind)
+    return Patch(normal, points, others, (points - others) @ normal, kinds, edges)
 
 
 def _foremost_edge(shape: PlacedShape, direction: Array) -> Array:
@@ -64,21 +78,33 @@ def _foremost_edge(shape: PlacedShape, direction: Array) -> Array:
     return shape.vertices[edges[int(np.argmax(heights[edges].sum(axis=1)))]]
 
 
-def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the closest points of two segments, each (2, 3)."""
+def _directions(first: Array, second: Array, normal: Array) -> Array:
+    """Return the unit directions (2, 3) of two segments that are not parallel, u × e along the normal."""
+    both = np.array([one[1] - one[0] for one in (first, second)])
+    both /= np.linalg.norm(both, axis=1)[:, None]
+    both[0] *= np.sign(cross(both[0], both[1]) @ normal)
+    return both
+
+
+def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array, bool]:
+    """Return the closest points of two segments, each (2, 3), and whether they are within both."""
     u, w, r = first[1] - first[0], second[1] - second[0], first[0] - second[0]
     uu, uw, ww, ur, wr = u @ u, u @ w, w @ w, u @ r, w @ r
     determinant = uu * ww - uw * uw
     s = min(max((uw * wr - ww * ur) / determinant, 0.0), 1.0) if determinant > ROUNDING * uu * ww else 0.5
     t = min(max((uw * s + wr) / ww, 0.0), 1.0)
     s = min(max((uw * t - ur) / uu, 0.0), 1.0)
-    return first[0] + s * u, second[0] + t * w
+    within = determinant > ROUNDING * uu * ww and 0.0 < s < 1.0 and 0.0 < t < 1.0
+    return first[0] + s * u, second[0] + t * w, within
 
 
-def _on_face(a: PlacedShape, b: PlacedShape, face: int, within: float, facing: Array) -> Patch | None:
+def _on_face(
+    a: PlacedShape, b: PlacedShape, face: int, within: float, facing: Array, kind: int
+) -> Patch | None:
     """Return the patch of a shape A over a face of another, with gaps up to `within` [m].
 
-    `facing` has how much each face of A faces that face; it is empty where A has none.
+    `facing` has how much each face of A faces that face, it is empty where A has none; `kind` is the code of
+    points of A on that face.
     """
     normal = b.normals[face]
     plane = float(b.offsets[face]) + b.shape.radius
@@ -96,8 +122,22 @@ def _on_face(a: PlacedShape, b: PlacedShape, face: int, within: float, facing: A
     near = gaps <= within
     if not near.any():
         return None
+    kinds = np.full(len(polygon), kind)
+    if facing.max(initial=0.0) >= 1.0 - TIE:  # the faces are parallel: it does not matter which is clipped
+        of_a, of_b = (
+            _among(polygon, ends, normal, COINCIDE * a.shape.reach) for ends in (a.vertices, corners)
+        )
+        kinds[~of_a] = PLANE
+        kinds[of_b & ~of_a] = TIP_PLANE if kind == PLANE else PLANE
     points, gaps = points[near], gaps[near]
-    return Patch(normal, points, points - gaps[:, None] * normal, gaps)
+    return Patch(normal, points, points - gaps[:, None] * normal, gaps, kinds[near], np.zeros((2, 3)))
+
+
+def _among(points: Array, others: Array, normal: Array, distance: float) -> Bools:
+    """Return which of some points (k, 3) are among others but for their heights along a normal."""
+    apart = points[:, None] - others
+    apart -= (apart @ normal)[:, :, None] * normal
+    return np.asarray((np.linalg.norm(apart, axis=2) <= distance).any(axis=1))
 
 
 def _clipped(polygon: Array, outward: Array, offset: float) -> Array:

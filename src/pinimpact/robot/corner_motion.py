@@ -9,13 +9,14 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..errors import InputError
+from ..geometry._kernels.constants import PLANE, TIP_PLANE
 from ..geometry.convex_pair import Touch
 from ..geometry.convex_shape import PlacedShape
-from ..geometry.tolerances import COINCIDE, FACE
+from ..geometry.tolerances import COINCIDE
 from ._kernels import configuration_slopes as places
 from .contact import Contact
 from .placed_robot import PlacedRobot
-from .shape_pair import ShapePair, closest_points, point_contact
+from .shape_pair import CODES, ShapePair, closest_points, feature_contact, point_contact
 
 
 class Corner(NamedTuple):
@@ -25,41 +26,57 @@ class Corner(NamedTuple):
     normal: Array  # (3,) from the second one to the first
     point: Array  # (3,) on the first and on the second, in the world
     other: Array
+    kind: int  # code of what meets: `PLANE` on a face of the second, `TIP_PLANE` on one of the first
+    edges: Array  # (2, 3) directions of the edges of the two that meet, as far as there are any
+
+    @property
+    def on_face(self) -> bool:
+        """Whether it is on a face of one of the shapes; else the features alone say where it is."""
+        return self.kind in (PLANE, TIP_PLANE)
+
+    @property
+    def _cores(self) -> tuple[Array, Array]:
+        n = self.normal
+        return self.point + self.pair.a.shape.radius * n, self.other - self.pair.b.shape.radius * n
 
     def contact(self, data: pin.Data, basis: Contact) -> Contact:
-        """Return it as a contact of a point on a plane, at the configuration of `data`."""
-        a, b, n = self.pair.a.shape, self.pair.b.shape, self.normal
-        touch = Touch("vertex-face", self.point + a.radius * n, self.other - b.radius * n, (0, 0))
-        return point_contact(self.pair, data, (), n, touch, basis).instant
+        """Return it as a contact of a point on a plane, at the configuration of `data`.
+
+        The point is that of the shape without the face.
+        """
+        p, q = self._cores
+        if self.kind == TIP_PLANE:
+            p = p + self.other - self.point
+        touch = Touch("vertex-face", p, q, (0, 0))
+        return point_contact(self.pair, data, (), self.normal, touch, basis).instant
+
+    def carried(self, data: pin.Data, basis: Contact) -> Contact:
+        """Return the contact of its features; on a face of the first shape its tip is on the second."""
+        return feature_contact(self.pair, data, self.normal, self._cores, self.kind, self.edges, basis)
 
     def follow(self, data: pin.Data, columns: Array, shifts: Array) -> bool:
-        """Set in `shifts` how the corner and the normal move, which those of that contact fix to the shapes.
+        """Set in `shifts` how a corner on a face and the normal move, which `contact` fixes to the shapes.
 
         Given columns (6, nv), the motions of the joints at the origin of the world, and shifts (nv, SHIFT) of
         the contact, see `configuration_slopes`; joint placements of `data` are up to date. Returns whether it
         is a vertex on an edge of the other shape, so that it moves in another way to one side. Raises
-        `InputError` for a rounded shape in contact with an edge or a corner: its motion is not known.
+        `InputError` for features whose motion is not known.
         """
         a, b = self.pair.placed(data)
         n = self.normal
-        one = _Side(a, _motions(columns, shifts[:, places.TIP]), self.point + a.shape.radius * n)
-        two = _Side(b, _motions(columns, shifts[:, places.CARRIER]), self.other - b.shape.radius * n)
-        moved: Array | None = None
-        if one.rests_on(two, n):
-            moved, turn = _over_face(one, two, n), np.cross(two.motions[1], n)
-        elif two.rests_on(one, -n):
-            moved, turn = _over_face(two, one, -n), np.cross(one.motions[1], n)
-            if moved is not None:  # the point of A is the foot of that of B on its face
-                apart = moved - one.moves(two.point)
-                moved = one.moves(one.point) + apart - np.outer(apart @ n, n)
-        elif a.shape.radius + b.shape.radius == 0.0:
-            moved, turn = _of_edges(one, two, n)
+        p, q = self._cores
+        one = _Side(a, _motions(columns, shifts[:, places.TIP]), p)
+        two = _Side(b, _motions(columns, shifts[:, places.CARRIER]), q)
+        if self.kind == PLANE:
+            moved, turn, radius = _over_face(one, two, n), np.cross(two.motions[1], n), a.shape.radius
+        else:
+            moved, turn, radius = _over_face(two, one, -n), np.cross(one.motions[1], n), -b.shape.radius
         if moved is None:
             raise InputError(
-                f"sensitivities: {self.pair.contact.label!r} is of a rounded shape and an edge or a corner, "
-                "where they are not known in time steps"
+                f"sensitivities: how the contact point of {self.pair.contact.label!r} moves with the shapes "
+                "is not known here; a start nearby may do"
             )
-        shifts[:, :3] = moved
+        shifts[:, :3] = moved - radius * turn
         shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)
         return any(s.at_vertex and o.edge is not None for s, o in ((one, two), (two, one)))
 
@@ -72,11 +89,15 @@ def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> li
     places = closest_points(robot, data, q, pair)
     found, placed = [], PlacedRobot(robot, data, q)
     for touch, instant, lasting, _ in (place[0] for place in places if len(place) == 1):
-        if lasting is None:
+        if lasting is None or touch.kind not in CODES:
             continue
-        n = placed.geometry(instant).axes[2]
+        n, edges = placed.geometry(instant).axes[2], np.zeros((2, 3))
         ends = touch.point - pair.a.shape.radius * n, touch.other + pair.b.shape.radius * n
-        found.append((Corner(pair, n, *ends), instant))
+        sides = zip(pair.placed(data), touch.kind.split("-"), touch.features, strict=True)
+        for k, (side, feature, number) in enumerate(sides):
+            if feature == "edge":
+                edges[k] = side.edge(number)
+        found.append((Corner(pair, n, *ends, CODES[touch.kind], edges), instant))
     return found
 
 
@@ -95,11 +116,6 @@ class _Side(NamedTuple):
     def moves(self, point: Array) -> Array:
         """Return the velocities (nv, 3) of a point that moves with it."""
         return np.asarray(self.motions[0] + np.cross(self.motions[1], point))
-
-    def rests_on(self, other: _Side, normal: Array) -> bool:
-        """Whether a normal is that of a face of the other shape."""
-        faces = other.placed
-        return len(faces.shape.faces) > 0 and bool((faces.normals @ normal).max() > FACE)
 
     @property
     def _near(self) -> float:
@@ -144,19 +160,3 @@ def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
         return None
     outward = np.cross(side, normal)
     return moved + np.outer((carried - moved) @ outward / (edge @ outward), edge)
-
-
-def _of_edges(a: _Side, b: _Side, normal: Array) -> tuple[Array | None, Array]:
-    """Return how the point of A closest to an edge of B moves, and how their normal changes, (nv, 3)."""
-    one, two = a.edge, b.edge
-    if one is None or two is None:
-        return None, np.zeros_like(a.motions[0])
-    cross = np.cross(one, two)
-    bent = np.cross(np.cross(a.motions[1], one), two) + np.cross(one, np.cross(b.motions[1], two))
-    bent *= np.sign(cross @ normal) / np.linalg.norm(cross)
-    bent -= np.outer(bent @ normal, normal)
-    # the points move by s and t along their edges, so that they stay opposite each other along the normal
-    moved, gap = a.moves(a.point), float((a.point - b.point) @ normal)
-    apart = b.moves(b.point) - moved + gap * bent
-    shares = np.linalg.lstsq(np.column_stack([one, -two]), apart.T, rcond=None)[0]
-    return moved + np.outer(shares[0], one), bent

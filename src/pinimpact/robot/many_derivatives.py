@@ -16,6 +16,7 @@ from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, Slopes, slopes_along
 from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
+from ..geometry._kernels.constants import TIP_PLANE
 from ._kernels import configuration_slopes as places
 from .contact import Contact
 from .corner_motion import Corner
@@ -115,8 +116,9 @@ class RowSlopes:
     for. Of `spare`, a Data of the model, nothing else is read. `on_surface` see
     `contact_kinematics.jacobian`. Raises `InputError` for a corner whose motion is not known.
 
-    `contacts` are then with corners fixed to the shapes, as are the rows `fixed`; `axes` (3, 3) and `rows`
-    are those of each contact; `features_meet` if a corner is a vertex of one shape on an edge of the other.
+    `axes` (3, 3) and `rows` are those of each contact; `carried` the contacts of the features that meet, with
+    points and faces fixed to the shapes, `fixed` the rows of these, and `signs` −1 for those whose tip is on
+    the second shape, else 1; `features_meet` if a corner is a vertex of one shape on an edge of the other.
     """
 
     def __init__(
@@ -131,16 +133,20 @@ class RowSlopes:
         self._placed, self._tree = placed, Tree.of(placed)
         self._data = model.createData() if spare is None else spare
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
-        self.contacts = [
-            corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)
-        ]
-        at, self.rows = self.of(self.contacts, True)
-        self.axes = [one.axes for one in at]
-        self.fixed, self.features_meet = list(self.rows), False
+        self.carried, now = list(contacts), list(contacts)
+        self.signs, self.features_meet = np.ones(len(now)), False
         for k, corner in corners.items():
-            place = self.rows[k].place
-            self.fixed[k] = ContactRow(self._tree, place._replace(shifts=place.shifts.copy()))
-            self.features_meet |= corner.follow(placed.data, self._tree.J, place.shifts)
+            self.carried[k] = now[k] = corner.carried(placed.data, contacts[k])
+            if corner.on_face:
+                now[k] = corner.contact(placed.data, contacts[k])
+            if corner.kind == TIP_PLANE:
+                self.signs[k] = -1.0
+        at, self.rows = self.of(now, True)
+        self.axes, self.fixed = [one.axes for one in at], list(self.rows)
+        for k, corner in corners.items():
+            if corner.on_face:
+                place, self.fixed[k] = self.rows[k].place, self.of([self.carried[k]], True)[1][0]
+                self.features_meet |= corner.follow(placed.data, self._tree.J, place.shifts)
         if on_surface:
             for row, one in zip(self.rows, at, strict=True):
                 row.place.move_onto_surface(one)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array
 from ..errors import InputError
+from ..geometry._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
 from ..geometry.convex_pair import Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
@@ -131,26 +132,66 @@ def point_contact(
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     instant = one.tip(touch.point, other.plane(touch.other, normal))
-    lasting, swapped, kind = None, False, touch.kind
+    swapped, kind = False, touch.kind
     if kind in ("face-vertex", "edge-vertex") or (kind == "vertex-vertex" and not other.radius > 0.0):
         swapped, one, other, (kind, p, q, features) = True, other, one, touch.mirrored
         normal, placed = -normal, placed[::-1]
     else:
         _, p, q, features = touch
-    if kind == "vertex-face":
-        lasting = one.tip(p, other.plane(q, normal)) if swapped else instant
-    elif kind == "edge-edge":
-        u, w = placed[0].edge(features[0]), placed[1].edge(features[1])
-        w = w if cross(u, w) @ normal > 0.0 else -w
-        edge = Edge(**other.line(q, w, normal))
-        lasting = replace(one.tip(p, edge), axis=one.turn(u / np.linalg.norm(u)))
-    elif one.radius + other.radius > 0.0:
-        if kind == "vertex-edge":
-            surface: Surface = Line(**other.line(q, placed[1].edge(features[1]), normal))
-        else:
-            surface = Sphere(other.place(q), other.radius, body=other.body, name=other.shape.name)
-        lasting = one.tip(p, surface)
-    return PointContact(touch, instant, lasting, swapped and lasting is not None)
+    if kind == "vertex-face" and not swapped:
+        return PointContact(touch, instant, instant, False)
+    if kind not in ("vertex-face", "edge-edge") and one.radius + other.radius == 0.0:
+        return PointContact(touch, instant, None, False)
+    along = [
+        placed[k].edge(features[k]) if name == "edge" else normal for k, name in enumerate(kind.split("-"))
+    ]
+    return PointContact(touch, instant, _of_features(CODES[kind], one, other, (p, q), normal, along), swapped)
+
+
+CODES = {
+    "vertex-face": PLANE,
+    "face-vertex": TIP_PLANE,
+    "edge-edge": EDGE,
+    "vertex-edge": LINE,
+    "vertex-vertex": SPHERE,
+}
+"""Codes of the kinds of features that meet; `TIP_PLANE` with a face of A."""
+
+
+def feature_contact(
+    pair: ShapePair,
+    data: pin.Data,
+    normal: Array,
+    cores: tuple[Array, Array],
+    kind: int,
+    edges: Array,
+    basis: Contact,
+) -> Contact:
+    """Return the contact of two shapes as long as some features touch, by the code of their kind.
+
+    Its tip is on B where the kind is `TIP_PLANE`. Other arguments are those of `point_contact`, with points
+    of the cores, and the directions of edges.
+    """
+    one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
+    if kind == TIP_PLANE:
+        return _of_features(PLANE, other, one, cores[::-1], -normal, list(edges))
+    return _of_features(kind, one, other, cores, normal, list(edges))
+
+
+def _of_features(
+    kind: int, one: _Side, other: _Side, cores: tuple[Array, Array], normal: Array, edges: Sequence[Array]
+) -> Contact:
+    """Return the contact of a point or an edge of one side with a face, edge or point of the other."""
+    p, q = cores
+    if kind == PLANE:
+        return one.tip(p, other.plane(q, normal))
+    u, w = edges
+    if kind == EDGE:
+        edge = Edge(**other.line(q, w if cross(u, w) @ normal > 0.0 else -w, normal))
+        return replace(one.tip(p, edge), axis=one.turn(u / np.linalg.norm(u)))
+    if kind == LINE:
+        return one.tip(p, Line(**other.line(q, w, normal)))
+    return one.tip(p, Sphere(other.place(q), other.radius, body=other.body, name=other.shape.name))
 
 
 class _Side:

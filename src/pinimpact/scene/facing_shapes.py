@@ -98,6 +98,7 @@ class FacingShapes:
         self.boxes = count > 0
         self._used, self._normals = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
         self._points, self._others = np.zeros((2, count, MOST, 3))
+        self._kinds, self._edges = np.zeros((count, MOST), dtype=np.int64), np.zeros((count, 2, 3))
 
     def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
         """Fill the places of pairs that may touch within a time.
@@ -116,7 +117,7 @@ class FacingShapes:
             face_boxes(
                 *(self._work, q, v, h, near, touching, self._joints, self._boxes, self._ranges),
                 *(self._blanks, self._rests, self.idle, self._used),
-                *(self._normals, self._points, self._others),
+                *(self._normals, self._points, self._others, self._kinds, self._edges),
             )
             self._dynamics.check()
         facing = np.flatnonzero(self._used).tolist() if touching >= 0.0 else []
@@ -151,7 +152,8 @@ class FacingShapes:
             for k in range(int(self._used[p])):
                 ends = self._points[p, k].copy(), self._others[p, k].copy()
                 found[int(self._ranges[p, 2]) + k] = Corner(
-                    self._box_pairs[p], self._normals[p].copy(), *ends
+                    *(self._box_pairs[p], self._normals[p].copy(), *ends),
+                    *(int(self._kinds[p, k]), self._edges[p].copy()),
                 )
         for places in self._pairs:
             found |= {i: places.corners[i] for i in places.numbers[: places.used]}
@@ -173,10 +175,12 @@ class FacingShapes:
                 np.concatenate([pose.rotation.T.ravel(), pose.translation])
                 for pose in (data.oMi[pair.a.joint], data.oMi[pair.b.joint])
             )
+            radii = pair.a.shape.radius, pair.b.shape.radius
             for i, k in zip(places.numbers, np.sort(chosen).tolist(), strict=False):
                 ends = found.points[k], found.others[k]
-                fill_contact(work.contact_constants[i], tip, base, found.normal, *ends)
-                places.corners[i] = Corner(pair, found.normal, *ends)
+                given = found.normal, *ends, int(found.kinds[k]), found.edges
+                fill_contact(work.contact_constants[i], tip, base, *given, *radii)
+                places.corners[i] = Corner(pair, *given)
                 if contacts:
                     self._strike(pair, i, found.normal, ends)
         for i in places.numbers[count : places.used]:

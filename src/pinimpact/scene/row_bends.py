@@ -98,7 +98,7 @@ def _places(
     turn, push = pin.dIntegrate(model, q, s * v)
     placed = PlacedRobot(model, data, pin.integrate(model, q, s * v))
     tree = Tree.of(placed)
-    rows = rows_of(placed, tree, slopes.contacts, True)[1]
+    rows = rows_of(placed, tree, slopes.carried, True)[1]
     yield s, rows, motions_in(tree, v), turn @ by_q + push @ (s * by_v)
 
 
@@ -115,20 +115,21 @@ def _along(
     by_q, by_v = changes
     k, n = len(rows), by_q.shape[1]
     found = _Along(np.empty((k, 3)), np.empty(k), np.empty((k, 3, n)), np.empty((k, n)))
-    for i, row in enumerate(rows):
+    for i, (row, sign) in enumerate(zip(rows, slopes.signs.tolist(), strict=True)):
         axes, jacobian = row.axes, row.jacobian
-        velocity = jacobian @ v - row.of_surface
-        along = row.slopes(motions, True)
+        velocity, along = jacobian @ v - row.of_surface, row.slopes(motions, True)
         found.velocity[i], found.rate[i] = velocity, axes[2] @ velocity
         found.by[i] = (axes.T @ along + row.turned(velocity)) @ moved + jacobian @ by_v
         found.by_rate[i] = along[2] @ moved + axes[2] @ jacobian @ by_v
         if slopes.rows[i] is not slopes.fixed[i]:  # a corner moves over the shapes, which carry that on
             tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
-            follows, fixed, n = slopes.rows[i], slopes.fixed[i], slopes.axes[i][2]
+            follows, fixed, n = slopes.rows[i], slopes.fixed[i], slopes.fixed[i].axes[2]
             moves = (follows.place.shifts - fixed.place.shifts)[:, :3].T @ by_q
             tilt = np.cross((follows.turns - fixed.turns).T, n).T @ by_q
             moves, tilt = moves + t * np.cross(tip, moves.T).T, tilt + t * np.cross(base, tilt.T).T
             by_moves = np.cross(tip - base, moves.T).T
             found.by[i] += by_moves
             found.by_rate[i] += axes[2] @ by_moves + velocity @ tilt
+        found.velocity[i] *= sign
+        found.by[i] *= sign
     return found

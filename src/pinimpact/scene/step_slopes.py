@@ -22,7 +22,7 @@ from .control_slopes import change_of_forces
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
-from .row_bends import RowBends, row_bends
+from .row_bends import row_bends
 from .scene import Scene
 from .step_sets import OPEN, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
 from .step_taken import StepTaken
@@ -37,6 +37,7 @@ class _Rows(NamedTuple):
         turns: (k, 3, 3) from the axes of these to those of the rows.
         start: (rows, n) changes of their velocities at the start.
         end: (rows, n) those at the end, at the same v⁺.
+        gaps: (rows, n) those of gaps, in rows along normals.
     """
 
     jacobian: Array
@@ -44,6 +45,7 @@ class _Rows(NamedTuple):
     turns: Array
     start: Array
     end: Array
+    gaps: Array
 
 
 class _Moved(NamedTuple):
@@ -105,7 +107,11 @@ class StepSlopes:
             self._carried[j : j + (3 if kind == RIGID else 2)] = True
 
     def begin(self, x: Array, step: DenseStep) -> Array:
-        """Return changes before the first step: what is closed stays so, see `Boundary.CLOSED`."""
+        """Return changes before the first step: what is closed stays so, see `Boundary.CLOSED`.
+
+        Gaps stay closed at the midpoint, and velocities of what is closed zero at the start. Changes that do
+        not are followed by displacements and impulses at these contacts.
+        """
         taken, nv = _taken(step), len(step.v)
         sets = self._sets(taken, False)
         chosen = sets.closing == PINNED
@@ -113,11 +119,22 @@ class StepSlopes:
             return x
         self.boundary |= Boundary.CLOSED
         jacobian, inverse, x = _dense(taken.rows, nv), np.linalg.inv(self._mass(step.q)), x.copy()
-        kept, soft = jacobian[sets.rows[chosen]], sets.compliances[chosen]
-        for part, pushes in ((x[:nv], kept.T), (x[nv : 2 * nv], sets.directions(jacobian)[:, chosen])):
-            response = inverse @ pushes
-            part -= response @ limit_of_compliances(kept @ response, kept @ part, soft)
+        kept, n = sets.rows[chosen], x.shape[1]
+        pushed = np.zeros((2 * nv, 2 * len(kept)))
+        pushed[:nv, : len(kept)] = inverse @ jacobian[kept].T
+        pushed[nv:, len(kept) :] = inverse @ sets.directions(jacobian)[:, chosen]
+        every = np.hstack([x[: 2 * nv], pushed])
+        middle = self._middle(step, every[:nv], every[nv:], np.zeros(every.shape[1]))
+        rows = self._rows(taken, step.v, (middle, every[nv:], np.zeros(every.shape[1])))
+        missed = np.vstack([rows.gaps[kept], rows.start[kept]])
+        soft = np.tile(sets.compliances[chosen], 2)
+        x[: 2 * nv] -= pushed @ limit_of_compliances(missed[:, n:], missed[:, :n], soft)
         return x
+
+    def _middle(self, step: DenseStep, by_q: Array, by_v: Array, length: Array) -> Array:
+        """Return changes (nv, n) of the configuration at the midpoint of a step."""
+        turn, push = pin.dIntegrate(self._model, step.q, 0.5 * step.h * step.v)
+        return np.asarray(turn @ by_q + push @ (0.5 * step.h * by_v + 0.5 * np.outer(step.v, length)))
 
     def through(self, x: Array, step: DenseStep, force: Array) -> Array:
         """Return how changes x (3 nv + 1, n) before a step are after it, or at what touches in it.
@@ -138,7 +155,7 @@ class StepSlopes:
             reached = x[3 * nv] + step.h * shift + part * moved.length
             return np.vstack([self._within(x, moved, step, part, shift), moved.pushed, reached])
         result = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
-        result[:nv] = self._removed(result[:nv], taken, moved)
+        result[:nv] = self._removed(result[:nv], taken)
         result[nv:][taken.stopped] = 0.0
         return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
 
@@ -151,7 +168,7 @@ class StepSlopes:
         result = self._within(x, moved, step, part, -(x[-1] + part * moved.length) / step.h)
         if taken.removals:  # little by little in the dense output
             end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))[:nv]
-            result[:nv] += part * (self._removed(end, taken, moved) - end)
+            result[:nv] += part * (self._removed(end, taken) - end)
         return result
 
     def modes(self, taken: StepTaken) -> Integers:
@@ -180,8 +197,7 @@ class StepSlopes:
         taken, nv, h, v = _taken(step), len(step.v), step.h, step.v
         found, softened, q = taken.found, taken.softened, taken.middle
         by_q, by_v, by_pushed, length = x[:nv], x[nv : 2 * nv], x[2 * nv : 3 * nv], -x[3 * nv]
-        turn, push = pin.dIntegrate(self._model, step.q, 0.5 * h * v)
-        middle = turn @ by_q + push @ (0.5 * h * by_v + 0.5 * np.outer(v, length))
+        middle = self._middle(step, by_q, by_v, length)
         stiffness, damping = self._laws(taken)
         softer = 0.5 * damping + 0.5 * h * stiffness  # how what softens changes with h
         total = self._mass(q) + np.diag(softened)
@@ -220,9 +236,9 @@ class StepSlopes:
         """Set changes of the velocity to NaN on which a tie makes a difference."""
         rows, v_end = moved.rows, moved.v_end
         largest = np.nanmax(np.abs(np.concatenate([moved.middle, v_end])), initial=0.0)
-        pinned = rows.jacobian[sets.rows[sets.closing == PINNED]]
-        sizes = np.abs(pinned).sum(axis=1)
-        tied = (np.abs(pinned @ moved.middle) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
+        pinned = sets.rows[sets.closing == PINNED]
+        sizes = np.abs(rows.jacobian[pinned]).sum(axis=1)
+        tied = (np.abs(rows.gaps[pinned]) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
         if sets.tied:
             other = self._solve(taken, self._sets(taken, True), *given)
             tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)
@@ -254,8 +270,7 @@ class StepSlopes:
                 if parameter == Parameter("friction", int(taken.rows.contacts[one.contact])):
                     forces[:, column] -= found.impulse[a + 2] * one.direction @ jacobian[a : a + 2]
         pushed, kept, stays = sets.directions(jacobian), jacobian[sets.rows], rows.end[sets.rows]
-        closing = kept @ middle
-        stays += np.where(sets.closing != OPEN, 1.0 / h, 0.0)[:, None] * closing
+        stays += np.where(sets.closing != OPEN, 1.0 / h, 0.0)[:, None] * rows.gaps[sets.rows]
         stays -= np.outer(sets.gaps / h**2, length)
         moved = np.linalg.solve(matrix, np.column_stack([known + forces, pushed]))
         free, response = moved[:, : known.shape[1]], moved[:, known.shape[1] :]
@@ -298,19 +313,17 @@ class StepSlopes:
             motions = slopes.motions(velocity)
             for k, row in enumerate(slopes.rows):
                 out[3 * k : 3 * k + 3] = turns[k] @ row.slopes(motions, True) @ middle
+        gaps = jacobian @ middle
         if not taken.found.bent[0]:
-            return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end)
-        bends, changes = self._bends(taken.h, slopes, (taken.middle, v), (middle, by_v))
-        bent = 0.5 * (taken.h * changes + bends[:, :, None] * length)
+            return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end, gaps)
+        h, given = taken.h, ((taken.middle, v), (middle, by_v))
+        bends, changes = row_bends(self._model, self._aside, h, slopes, *given)
+        bent = 0.5 * (h * changes + bends[:, :, None] * length)
         turned = (turns @ bent).reshape(-1, middle.shape[1])
         start[: len(turned)] -= turned
         end[: len(turned)] += turned
-        return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end)
-
-    def _bends(
-        self, h: float, slopes: RowSlopes, state: tuple[Array, Array], changes: tuple[Array, Array]
-    ) -> RowBends:
-        return row_bends(self._model, self._aside, h, slopes, state, changes)
+        gaps[2 : len(turned) : 3] -= 0.25 * h * bent[:, 2] + 0.125 * h * bends[:, 2, None] * length
+        return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end, gaps)
 
     def _mass(self, q: Array) -> Array:
         upper = mass_matrix(self._model, self._data, q)
@@ -323,7 +336,7 @@ class StepSlopes:
         row, h = int(taken.rows.normals[i]), taken.h
         start, end = float(taken.found.u_start[row]), float(taken.found.u_end[row])
         by_start, by_end = moved.u_start[row], moved.u_end[row]
-        gap = moved.rows.jacobian[row] @ moved.middle + h * (part - 0.5) * by_start
+        gap = moved.rows.gaps[row] + h * (part - 0.5) * by_start
         gap = gap + 0.5 * h * part**2 * (by_end - by_start)
         gap += ((part - 0.5) * start + 0.5 * part**2 * (end - start)) * moved.length
         return np.asarray(-gap / (h * (start + part * (end - start))))
@@ -366,9 +379,9 @@ class StepSlopes:
             rate[axes] = rotation @ v[axes]
         return rate, by_rate
 
-    def _removed(self, by_q: Array, taken: StepTaken, moved: _Moved) -> Array:
+    def _removed(self, by_q: Array, taken: StepTaken) -> Array:
         """Return changes of q (nv, n) at the end of a step after overlap has been taken away. (D36)"""
-        model, h = self._model, taken.h
+        model = self._model
         for xi, pushes, before, rows, near in taken.removals:
             placed = PlacedRobot(model, self._data, before)
             slopes = RowSlopes(placed, *near, self._spare)
@@ -389,13 +402,6 @@ class StepSlopes:
             solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
-            state, changes = (before, taken.found.v_end), (by_q, moved.v_end)
-            left = np.zeros((len(jacobian), by_q.shape[1]))
-            bends, bent = self._bends(h, slopes, state, changes)
-            off = 0.125 * h * (h * bent[:, 2] + 2.0 * bends[:, 2, None] * moved.length)
-            off[: len(rows.contacts)][bends[: len(rows.contacts), 2] < 0.0] = 0.0
-            left[2:of_contacts:3] = off
-            opened -= left[every[acts]]
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
             turn, push = pin.dIntegrate(model, before, xi)
             by_q = turn @ by_q + push @ (free + response @ impulses)

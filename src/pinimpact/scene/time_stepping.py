@@ -28,7 +28,6 @@ from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
 from ._kernels.tolerances import (
     STEPS_SHORTEST,
     STEPS_SLACK,
-    STEPS_SLOW,
     STEPS_STILL,
     STEPS_TOGETHER,
     STEPS_TOUCH,
@@ -80,7 +79,6 @@ class TimeStepping(Integrator):
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = STEPS_STILL * (work.resting_speed or 1.0)
-        self._slow = STEPS_SLOW * (work.resting_speed or 1.0)
         self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
@@ -178,11 +176,12 @@ class TimeStepping(Integrator):
         if self.record.keeps_steps:
             step.taken = self._taken(h, (middle, system.softened, pushed), axes, rows, found)
         closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
-        slowest = within = 0.0
+        slowest = within = touching = 0.0
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
             slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
-            if may_be_halved and not self._meets(*step.at(step.end), slowest, within):
+            touching = max(within, float(found.sag[0]))  # what has been closed takes part
+            if may_be_halved and not self._meets(*step.at(step.end), slowest, touching):
                 state.pushed, state.step_before = before
                 return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
@@ -200,11 +199,11 @@ class TimeStepping(Integrator):
             if step.taken is not None:
                 touches = closing & (found.gaps_at(share, h, rows) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
-            self._collide(slowest, within, step.taken)
+            self._collide(slowest, touching, step.taken)
             return CUT
         active = ~found.arrives
         moved = self._no_change
-        if overlap > self._touching:
+        if overlap > max(self._touching, self.work.resting_speed * h):
             moved = self._project(step, h, overlap, system)
         if self._continuous is None:
             self._let_rest(step, rows, active, (v, found.v_end, moved / h))
@@ -232,7 +231,7 @@ class TimeStepping(Integrator):
         self._invert(middle, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, self._tree, self._start),
-            *(self._rest.joints, self._collides, self._compliances, self._slow),
+            *(self._rest.joints, self._collides, self._compliances, self.work.resting_speed),
         )
         state.warm_start = np.array(state.warm_start)
         rows = self._rows(middle, v, h, slack, self._faces.boxes)
@@ -400,7 +399,7 @@ class TimeStepping(Integrator):
         kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
         rests = self._rest.joints[work.velocity_joint]
         given = h, q, softened, pushed, follows, rests, self._near_of(rows), axes
-        return StepTaken(*given, rows, kept, self._touching, self._slow * h)
+        return StepTaken(*given, rows, kept, self._touching, work.resting_speed * h)
 
     def _near_of(self, rows: StepRows) -> Near:
         """Return what some rows belong to, with the corners that contacts of two shapes stand for now."""
@@ -428,7 +427,7 @@ class TimeStepping(Integrator):
             if unknown and not len(self._numbers(state.q, still, h, -self._touching, False)):
                 break
             rows = self._rows(state.q, still, h, depth, unknown)
-            depth = overlap_at(self.work, state.q, state.v, h, rows)
+            depth = overlap_at(self.work, state.q, state.v, rows)
             if depth <= self._touching:
                 break
             self._invert(state.q, self._no_change)

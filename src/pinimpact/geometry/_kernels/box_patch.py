@@ -9,12 +9,16 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..tolerances import COINCIDE, FACE, TIE
+from .constants import EDGE, PLANE, TIP_PLANE
 
 MOST = 8
 """Corners of a patch: a face clipped by another."""
+
+SIDE = 1.0
+"""A side of the face by which another is clipped."""
 
 
 @inlined
@@ -81,12 +85,12 @@ def facing_axis(a, n1, n2, n3):
 def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
     """Fill the corners of a face of A within the sides of a face of B; return how many there are.
 
-    A corner is given along the two other axes of B, from its centre, and as the height over the face. The
-    faces are those of A's axis and of B's axis `face`, on the sides ±1 `side` and `up`; polygon is (2 `MOST`,
-    3).
+    A corner is given along the two other axes of B, from its centre, as the height over the face, and by the
+    line from it to the next corner: of A below `SIDE`, else of B. The faces are those of A's axis and of B's
+    axis `face`, on the sides ±1 `side` and `up`; polygon is (2 `MOST`, 4).
     """
     p, q, k, o = (axis + 1) % 3, (axis + 2) % 3, (face + 1) % 3, (face + 2) % 3
-    other, count = np.empty((2 * MOST, 3)), 4
+    other, count = np.empty((2 * MOST, 4)), 4
     for c in range(4):
         s = half_a[p] if c in (0, 3) else -half_a[p]
         t = half_a[q] if c < 2 else -half_a[q]
@@ -95,7 +99,7 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
         x2 = a[10] + w * a[3 * axis + 1] + s * a[3 * p + 1] + t * a[3 * q + 1] - b[10]
         x3 = a[11] + w * a[3 * axis + 2] + s * a[3 * p + 2] + t * a[3 * q + 2] - b[11]
         polygon[c, 0], polygon[c, 1] = along(b, k, x1, x2, x3), along(b, o, x1, x2, x3)
-        polygon[c, 2] = up * along(b, face, x1, x2, x3) - half_b[face]
+        polygon[c, 2], polygon[c, 3] = up * along(b, face, x1, x2, x3) - half_b[face], 0.0
     for c in range(4):
         along_side, bound = c // 2, half_b[k] if c < 2 else half_b[o]
         sign = 1.0 if c % 2 == 0 else -1.0
@@ -104,17 +108,18 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
             following = (m + 1) % count
             now, then = sign * polygon[m, along_side] - bound, sign * polygon[following, along_side] - bound
             if now <= 0.0:
-                for e in range(3):
+                for e in range(4):
                     other[kept, e] = polygon[m, e]
                 kept += 1
             if (now <= 0.0) != (then <= 0.0):
                 share = now / (now - then)
                 for e in range(3):
                     other[kept, e] = polygon[m, e] + share * (polygon[following, e] - polygon[m, e])
+                other[kept, 3] = SIDE if now <= 0.0 else polygon[m, 3]
                 kept += 1
         count = kept
         for m in range(count):
-            for e in range(3):
+            for e in range(4):
                 polygon[m, e] = other[m, e]
     return count
 
@@ -150,10 +155,11 @@ def edge_middle(a, half, i, first, second):
 
 @external
 def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others):
-    """Write the closest points of an edge of A and one of B to the first rows; return their distance.
+    """Write the closest points of an edge of A and one of B to the first rows.
 
-    The edge of A is along its axis i, on the sides p and q, ±1, of the two axes after it, that of B likewise
-    j, k, o; points and others (k, 3) are of A and of B.
+    Return their distance, and whether they are within both edges. The edge of A is along its axis i, on the
+    sides p and q, ±1, of the two axes after it, that of B likewise j, k, o; points and others (k, 3) are of A
+    and of B.
     """
     x1, x2, x3 = edge_middle(a, half_a, i, p, q)
     y1, y2, y3 = edge_middle(b, half_b, j, k, o)
@@ -165,7 +171,7 @@ def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others)
         points[0, e] = x + s * a[3 * i + e]
         others[0, e] = y + t * b[3 * j + e]
         square += (points[0, e] - others[0, e]) ** 2
-    return math.sqrt(square)
+    return math.sqrt(square), abs(s) < half_a[i] and abs(t) < half_b[j]
 
 
 @external
@@ -178,7 +184,7 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
             for c in range(16):
                 p, q = 1.0 - 2.0 * (c % 2), 1.0 - 2.0 * (c // 2 % 2)
                 k, o = 1.0 - 2.0 * (c // 4 % 2), 1.0 - 2.0 * (c // 8)
-                distance = nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, one, other)
+                distance, _ = nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, one, other)
                 if distance < best - COINCIDE * size:
                     best, count = distance, 0
                 if distance <= best + COINCIDE * size:
@@ -190,18 +196,34 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
     return best
 
 
-@declared(FLOATS, FLOATS, FLOATS, FLOATS, float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, result=int)
+@declared(
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    float,
+    FLOATS,
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+    FLOATS,
+    INTEGERS,
+    FLOAT_ROWS,
+    result=int,
+)
 @jit
-def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
+def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds, edges):
     """Fill the contact patch of two boxes within a distance; return the number of points, 0 if apart.
 
     Points (`MOST`, 3) [m] are of A, others opposite to them of B; gaps (`MOST`,) are along the normal (3,),
-    from B to A, negative where they overlap.
+    from B to A, negative where they overlap. Kinds (`MOST`,) are codes of what meets: `PLANE` for a point of A
+    on a face of B, `TIP_PLANE` for one of B on one of A, `EDGE`; edges (2, 3) take the directions of the edges
+    of A and B that meet, if any.
     """
     value, n1, n2, n3, kind = separate(a, half_a, b, half_b)
     if value > within:
         return 0
     normal[0], normal[1], normal[2] = n1, n2, n3
+    kinds[0] = PLANE
     axis_a, cosine_a = facing_axis(a, n1, n2, n3)
     axis_b, cosine_b = facing_axis(b, n1, n2, n3)
     of_a = kind >= 3 if kind < 6 else abs(cosine_a) > abs(cosine_b)
@@ -212,13 +234,45 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
         up_a, up_b = (-1.0 if cosine_a > 0.0 else 1.0), (1.0 if cosine_b > 0.0 else -1.0)
         if of_a:
             count = face_patch(
-                b, half_b, axis_b, up_b, a, half_a, axis_a, up_a, within, normal, others, points, gaps
+                *(
+                    b,
+                    half_b,
+                    axis_b,
+                    up_b,
+                    a,
+                    half_a,
+                    axis_a,
+                    up_a,
+                    within,
+                    normal,
+                    others,
+                    points,
+                    gaps,
+                    kinds,
+                ),
+                TIP_PLANE,
             )
             for e in range(3):
                 normal[e] = -normal[e]
         else:
             count = face_patch(
-                a, half_a, axis_a, up_a, b, half_b, axis_b, up_b, within, normal, points, others, gaps
+                *(
+                    a,
+                    half_a,
+                    axis_a,
+                    up_a,
+                    b,
+                    half_b,
+                    axis_b,
+                    up_b,
+                    within,
+                    normal,
+                    points,
+                    others,
+                    gaps,
+                    kinds,
+                ),
+                PLANE,
             )
         if count >= 0:
             return count
@@ -232,10 +286,20 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
     else:
         i, j = (kind - 6) // 3, (kind - 6) % 3
         p, q, k, o = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-        nearest_of_two_edges(
+        _, inside = nearest_of_two_edges(
             *(a, half_a, i, -sign(along(a, p, n1, n2, n3)), -sign(along(a, q, n1, n2, n3))),
             *(b, half_b, j, sign(along(b, k, n1, n2, n3)), sign(along(b, o, n1, n2, n3)), points, others),
         )
+        if inside:
+            kinds[0] = EDGE
+            for e in range(3):
+                edges[0, e], edges[1, e] = a[3 * i + e], b[3 * j + e]
+            turned = 0.0
+            for e in range(3):
+                f, g = (e + 1) % 3, (e + 2) % 3
+                turned += normal[e] * (edges[0, f] * edges[1, g] - edges[0, g] * edges[1, f])
+            for e in range(3):
+                edges[0, e] *= sign(turned)
     gaps[0] = 0.0
     for e in range(3):
         gaps[0] += (points[0, e] - others[0, e]) * normal[e]
@@ -249,12 +313,18 @@ def sign(x):
 
 
 @external
-def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, points, others, gaps):
+def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, points, others, gaps, kinds, kind):
     """Fill the patch of A over a face of B, as `box_patch` does; return −1 if A is beyond its sides.
+
+    Corners are points of A. Where the two faces are parallel corners of B are points of B, and where edges
+    cross they are points of the first box, so that it does not matter which face is the reference.
+
+    Args:
+        kind: Code of points of A.
 
     Other arguments are as in `clip_face`.
     """
-    polygon = np.empty((2 * MOST, 3))
+    polygon = np.empty((2 * MOST, 4))
     count = clip_face(a, half_a, axis, side, b, half_b, face, up, polygon)
     if count == 0:
         return -1
@@ -262,13 +332,18 @@ def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, point
         normal[e] = up * b[3 * face + e]
     k, o, found = (face + 1) % 3, (face + 2) % 3, 0
     tolerance = COINCIDE * math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2)
+    cosine = abs(along(a, axis, normal[0], normal[1], normal[2]))
     for m in range(count):
-        square = 0.0
+        before, square = (m - 1 if m > 0 else count - 1), 0.0
         for e in range(3):
-            square += (polygon[m, e] - polygon[m - 1 if m > 0 else count - 1, e]) ** 2
+            square += (polygon[m, e] - polygon[before, e]) ** 2
         if square <= tolerance * tolerance or polygon[m, 2] > within or found == MOST:
             continue
-        gaps[found] = polygon[m, 2]
+        gaps[found], kinds[found] = polygon[m, 2], kind
+        if cosine >= 1.0 - TIE and polygon[m, 3] == SIDE and polygon[before, 3] == SIDE:
+            kinds[found] = TIP_PLANE if kind == PLANE else PLANE
+        elif cosine >= 1.0 - TIE and polygon[m, 3] != polygon[before, 3]:
+            kinds[found] = PLANE
         for e in range(3):
             others[found, e] = (
                 b[9 + e]

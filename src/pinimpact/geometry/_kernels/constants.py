@@ -16,8 +16,10 @@ TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, LINE_AXIS, 
     *(24, 25, 28, 31),
 )
 
-PLANE, SPHERE, LINE, EDGE = range(4)
-"""The codes of kinds: a line is for points and spheres, an edge for edges, both with a radius."""
+PLANE, SPHERE, LINE, EDGE, TIP_PLANE = range(5)
+"""The codes of kinds: a line is for points and spheres, an edge for edges, both with a radius. With the last
+the tip is a plane, whose inward normal stands in place of the rim's axis, and the surface a sphere about its
+point."""
 
 SOLID = -1
 """Code of surfaces that kernels do not support."""

@@ -28,6 +28,7 @@ from ...geometry._kernels.constants import (
     SIZE,
     SPIN,
     TIP,
+    TIP_PLANE,
     VELOCITY,
 )
 from ...geometry._kernels.contact_axes import contact_axes
@@ -111,6 +112,10 @@ def relative(R, S, k):
         o1, o2, o3 = place(S, k, POINT)
         s = (w1 * (o1 - c1) + w2 * (o2 - c2) + w3 * (o3 - c3)) / (w1 * u1 + w2 * u2 + w3 * u3)
         c1, c2, c3 = c1 + s * u1, c2 + s * u2, c3 + s * u3
+    if k[KIND] == TIP_PLANE:
+        n1, n2, n3 = direction(R, k, RIM_AXIS)
+        c1, c2, c3 = place(S, k, POINT)
+        c1, c2, c3 = c1 + k[SIZE] * n1, c2 + k[SIZE] * n2, c3 + k[SIZE] * n3
     x1, x2, x3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
     return c1, c2, c3, x1 - k[POINT], x2 - k[POINT + 1], x3 - k[POINT + 2]
 
@@ -131,6 +136,12 @@ def distance(R, S, k, x1, x2, x3):
         s = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
         n1, n2, n3 = n1 / s, n2 / s, n3 / s
         return n1 * x1 + n2 * x2 + n3 * x3 - k[SIZE], n1, n2, n3
+    if k[KIND] == TIP_PLANE:
+        n1, n2, n3 = edge_axis(R, S, k)
+        c1, c2, c3 = place(R, k, TIP)
+        c1, c2, c3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
+        d = n1 * (c1 - k[POINT]) + n2 * (c2 - k[POINT + 1]) + n3 * (c3 - k[POINT + 2])
+        return d - k[SIZE], n1, n2, n3
     return surfaces.distance(k, x1, x2, x3)
 
 

@@ -15,7 +15,19 @@ import math
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
 from ...geometry._kernels import surfaces
-from ...geometry._kernels.constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, TIP
+from ...geometry._kernels.constants import (
+    AXES,
+    EDGE,
+    KIND,
+    LINE_AXIS,
+    POINT,
+    RADIUS,
+    RIM,
+    RIM_AXIS,
+    SIZE,
+    TIP,
+    TIP_PLANE,
+)
 from .contact_kinematics import (
     carried_axes,
     carried_spin,
@@ -40,7 +52,7 @@ def gap_and_rate(R, V, S, U, k):
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
     t1, t2, t3 = k[TIP], k[TIP + 1], k[TIP + 2]
-    if k[RIM] > 0.0 or k[KIND] == EDGE:
+    if k[RIM] > 0.0 or k[KIND] >= EDGE:
         t1, t2, t3 = rotate_back(R, c1 - R[9], c2 - R[10], c3 - R[11])
     a1, a2, a3 = cross(V[3], V[4], V[5], t1, t2, t3)
     a1, a2, a3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
@@ -235,6 +247,13 @@ def rates_at_contact(R, V, S, U, k, at):
     c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3 = at
     r = k[RADIUS]
     w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
+    if k[KIND] == TIP_PLANE:
+        l1, l2, l3 = cross(w1, w2, w3, n1, n2, n3)
+        l1, l2, l3 = rotate_back(S, l1, l2, l3)
+        m1, m2, m3 = cross(V[3], V[4], V[5], n1, n2, n3)
+        r = k[SIZE]
+        a1, a2, a3 = cross(U[3], U[4], U[5], c1 - r * n1, c2 - r * n2, c3 - r * n3)
+        return l1, l2, l3, m1, m2, m3, U[0] + a1 + r * m1, U[1] + a2 + r * m2, U[2] + a3 + r * m3
     a1, a2, a3 = cross(w1, w2, w3, c1, c2, c3)
     a1, a2, a3 = rotate_back(S, V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3)
     along = 0.0

@@ -9,7 +9,18 @@ import numpy as np
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import jit
 from ...geometry._kernels.box_patch import MOST, box_patch
-from ...geometry._kernels.constants import AXES, KIND, PLANE, POINT, TIP
+from ...geometry._kernels.constants import (
+    AXES,
+    KIND,
+    LINE_AXIS,
+    PLANE,
+    POINT,
+    RADIUS,
+    RIM_AXIS,
+    SIZE,
+    TIP,
+    TIP_PLANE,
+)
 from ...geometry._kernels.contact_axes import contact_axes
 from ...robot._kernels.placement import place, rotate, rotate_back
 from .dynamics import compute_kinematics, set_state
@@ -19,33 +30,74 @@ HALF, REACH, BOX = 12, 15, 16
 """Where half the edges of a box stand, after its placement in the axes of its joint; then its reach."""
 
 
-@declared(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
+@declared(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, int, FLOAT_ROWS, float, float)
 @jit
-def fill_contact(row, tip, base, normal, point, other):
-    """Fill the constants of a contact of a point on a plane, from where both are now."""
+def fill_contact(row, tip, base, normal, point, other, kind, edges, radius, size):
+    """Fill the constants of a contact from where its points are now.
+
+    Args:
+        row: (constants,) to be filled.
+        tip, base: (12,) placements of the two joints.
+        normal: (3,) from the second shape to the first.
+        point, other: (3,) of their surfaces [m].
+        kind: Code of what meets there, see `box_patch`.
+        edges: (2, 3) directions of edges in contact.
+        radius, size: Radii about the cores of the two shapes [m].
+    """
     for e in range(len(row)):
         row[e] = 0.0
+    row[RADIUS], row[SIZE] = (0.0 if kind == TIP_PLANE else radius), (0.0 if kind == PLANE else size)
+    n1, n2, n3 = normal
+    r, s = row[RADIUS], row[SIZE]
     row[TIP], row[TIP + 1], row[TIP + 2] = rotate_back(
-        tip, point[0] - tip[9], point[1] - tip[10], point[2] - tip[11]
+        tip, point[0] + r * n1 - tip[9], point[1] + r * n2 - tip[10], point[2] + r * n3 - tip[11]
     )
     row[POINT], row[POINT + 1], row[POINT + 2] = rotate_back(
-        base, other[0] - base[9], other[1] - base[10], other[2] - base[11]
+        base, other[0] - s * n1 - base[9], other[1] - s * n2 - base[10], other[2] - s * n3 - base[11]
     )
     n1, n2, n3 = rotate_back(base, normal[0], normal[1], normal[2])
     axes = contact_axes(n1, n2, n3)
     for e in range(6):
         row[AXES + e] = axes[e]
     row[AXES + 6], row[AXES + 7], row[AXES + 8] = n1, n2, n3
-    row[KIND] = PLANE
+    row[KIND] = kind
+    if kind == TIP_PLANE:
+        row[RIM_AXIS], row[RIM_AXIS + 1], row[RIM_AXIS + 2] = rotate_back(
+            tip, normal[0], normal[1], normal[2]
+        )
+    elif kind != PLANE:
+        row[RIM_AXIS], row[RIM_AXIS + 1], row[RIM_AXIS + 2] = rotate_back(
+            tip, edges[0, 0], edges[0, 1], edges[0, 2]
+        )
+        row[LINE_AXIS], row[LINE_AXIS + 1], row[LINE_AXIS + 2] = rotate_back(
+            base, edges[1, 0], edges[1, 1], edges[1, 2]
+        )
 
 
 @declared(
     *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-    *(FLAGS, FLAGS, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK),
+    *(FLAGS, FLAGS, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK, INTEGER_ROWS, FLOAT_STACK),
 )
 @jit
 def face_boxes(
-    work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, idle, used, normals, points, others
+    work,
+    q,
+    v,
+    h,
+    near,
+    touching,
+    joints,
+    boxes,
+    pairs,
+    blanks,
+    rests,
+    idle,
+    used,
+    normals,
+    points,
+    others,
+    kinds,
+    edges,
 ):
     """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
 
@@ -66,6 +118,8 @@ def face_boxes(
         normals: (p, 3) takes the normals, from the second box to the first.
         points: (p, `MOST`, 3) takes the corners on the first box.
         others: (p, `MOST`, 3) takes them on the second.
+        kinds: (p, `MOST`) takes the codes of what meets there, see `box_patch`.
+        edges: (p, 2, 3) takes the edges in contact.
     """
     set_state(work, q, v)
     compute_kinematics(work)
@@ -94,7 +148,8 @@ def face_boxes(
         if square <= reach * reach:
             half_a, half_b = boxes[a, HALF:REACH], boxes[b, HALF:REACH]
             found = box_patch(
-                placed[a], half_a, placed[b], half_b, within, normals[p], points[p], others[p], gaps
+                *(placed[a], half_a, placed[b], half_b, within),
+                *(normals[p], points[p], others[p], gaps, kinds[p], edges[p]),
             )
         for k in range(min(found, room)):
             row = work.contact_constants[first + k]
@@ -105,6 +160,10 @@ def face_boxes(
                 normals[p],
                 points[p, k],
                 others[p, k],
+                kinds[p, k],
+                edges[p],
+                0.0,
+                0.0,
             )
         for k in range(room):
             idle[first + k] = k >= found

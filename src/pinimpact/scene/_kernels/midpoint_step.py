@@ -111,32 +111,30 @@ def fill_rows(work, v, rows, u, acceleration, turning):
 
 
 @inlined
-def bend_rows(work, h, rows, acceleration, turning, u_start, offset):
+def bend_rows(work, h, rows, acceleration, turning, offset, found):
     """Let velocities of contacts be those at the ends of a step: rows change by ½h J̇ v to either side. (16.2)
+
+    A path whose ends are closed is off its surface by ⅛h² J̇ v at the midpoint, which gaps are without.
 
     Args:
         h: Length of the step [s].
         rows: The `StepRows`.
         acceleration, turning: See `fill_rows`. Axes stand still for tangential velocities; the normal follows
             the surface, as the rate of the gap does.
-        u_start: (rows,) velocities at the start, with the rows at the midpoint; takes the change.
         offset: (rows,) what is added to J v; takes that for the end.
+        found: The `StepResult`; `u_start` by the rows at the midpoint takes the change, `sag` is filled.
     """
     bends = np.empty(len(offset))
-    fill_bends(work, rows, acceleration, turning, bends)
-    for a in range(3 * len(acceleration)):
-        u_start[a] -= 0.5 * h * bends[a]
-        offset[a] += 0.5 * h * bends[a]
-
-
-@inlined
-def fill_bends(work, rows, acceleration, turning, bends):
-    """Fill J̇ v (rows,) of contacts at the state last evaluated; arguments are those of `bend_rows`."""
     rates(rows.values, rows.columns, rows.counts, work.acceleration, bends)
     for k in range(len(acceleration)):
         for e in range(3):
             still = turning[k, e] if e < 2 else 0.0
-            bends[3 * k + e] = acceleration[k, e] + still - bends[3 * k + e]
+            bend = acceleration[k, e] + still - bends[3 * k + e]
+            found.u_start[3 * k + e] -= 0.5 * h * bend
+            offset[3 * k + e] += 0.5 * h * bend
+            if e == 2:
+                rows.gap[k] -= 0.125 * h * h * bend
+                found.sag[0] = max(found.sag[0], 0.125 * h * h * abs(bend))
 
 
 @inlined
@@ -354,7 +352,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     for a in range(n):
         offset[a] = u_start[a] - offset[a]
     if bent:
-        bend_rows(work, h, rows, acceleration, turning, u_start, offset)
+        bend_rows(work, h, rows, acceleration, turning, offset, found)
     free_velocity(h, v, work.acceleration, system, v, predicted)
     velocities(rows, offset, predicted, free)
     find_arrivals(work, h, strikes, system, rows, acceleration, free, found)

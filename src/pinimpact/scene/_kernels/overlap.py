@@ -12,32 +12,25 @@ from ..._numeric.augmented_newton import VelocityProblem
 from ..._numeric.loops import flags
 from ..._numeric.tolerances import LITTLE
 from .dynamics import ABA, call_python, set_state
-from .midpoint_step import fill_bends, fill_rows
+from .midpoint_step import fill_rows
 from .step_impulses import step_impulses
 from .step_rows import StepRows, StepSystem, normal_row
 from .workspace import SceneWorkspace
 
 
-@declared(SceneWorkspace, FLOATS, FLOATS, float, StepRows, result=float)
+@declared(SceneWorkspace, FLOATS, FLOATS, StepRows, result=float)
 @jit
-def overlap_at(work, q, v, h, rows):
+def overlap_at(work, q, v, rows):
     """Fill the rows of a step at a configuration (nq,) and velocity (nv,); return the overlap [m].
 
-    It is the largest of contacts and limits, or by how much held contacts are off. Gaps are closed at the
-    midpoints of steps of length h [s]; between two of them a path is off by ⅛h² J̇ v, and gaps are filled in
-    without that.
+    It is the largest of contacts and limits, or by how much held contacts are off.
     """
     set_state(work, q, v)
     call_python(work, ABA)  # for the motions of the joints
     nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
     acceleration, turning = np.empty((2, every, 3))
-    u, bends = np.empty((2, len(rows.counts)))
-    fill_rows(work, v, rows, u, acceleration, turning)
-    fill_bends(work, rows, acceleration, turning, bends)
+    fill_rows(work, v, rows, np.empty(len(rows.counts)), acceleration, turning)
     overlap = 0.0
-    for k in range(every):
-        off = 0.125 * h * h * bends[3 * k + 2]
-        rows.gap[k] += off if k >= nc else max(off, 0.0)
     for k in range(len(rows.gap)):
         overlap = max(overlap, abs(rows.gap[k]) if nc <= k < every else -rows.gap[k])
     return overlap

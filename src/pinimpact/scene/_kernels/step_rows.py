@@ -22,7 +22,8 @@ class StepRows(NamedTuple):
         columns: (rows, …) their columns, in ascending order.
         counts: (rows,) their numbers.
         surface: (nc + nh, 3) velocities of the surfaces [m/s].
-        gap: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m].
+        gap: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint, halfway between those at
+            the ends [m].
     """
 
     contacts: Integers
@@ -51,7 +52,8 @@ class StepRows(NamedTuple):
         predicted, v_end = np.empty((2, nv))
         items = len(self.contacts) + len(self.limits)
         arrives, gaps = np.empty(items, dtype=bool), np.empty(items)
-        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, np.empty(1, dtype=bool))
+        bent, sag = np.empty(1, dtype=bool), np.zeros(1)
+        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, bent, sag)
 
     @property
     def held_rows(self) -> Integers:
@@ -71,7 +73,7 @@ class StepSystem(NamedTuple):
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
         compliances: (n,) of all contacts.
-        slow: Speed up to which overlap at a midpoint is closed, as gaps are [m/s].
+        slow: Speed up to which overlap is closed, as gaps are [m/s].
     """
 
     mass: FloatRows
@@ -97,6 +99,7 @@ class StepResult(NamedTuple):
         v_end: (nv,) the velocity at the end.
         gap_end: (nc + nl,) the gaps at the end [m].
         bent: (1,) whether the rows of contacts bend along the velocity.
+        sag: (1,) the largest distance of what is closed at the ends from its surface in between [m].
     """
 
     impulse: Floats
@@ -107,6 +110,7 @@ class StepResult(NamedTuple):
     v_end: Floats
     gap_end: Floats
     bent: Flags
+    sag: Floats
 
     def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
         """Return the gaps (nc + nl,) after a part of a step of length h, whose rates are linear in time."""

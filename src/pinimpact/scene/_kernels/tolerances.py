@@ -109,10 +109,6 @@ STEPS_STILL = 1e-5
 """Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
 leaves at rest."""
 
-STEPS_SLOW = LITTLE
-"""Part of the resting speed at which overlap at a midpoint may be closed as gaps are: closed contacts are off
-by less, to either side, and what lands overlaps by more, and would bounce."""
-
 STEPS_GAIN = 1e-4
 """Part of the kinetic energy of a step and its impulses that contacts may add to it, against their surfaces:
 what rows that bend miss is some 1e-6, and all of it next to singular postures."""
