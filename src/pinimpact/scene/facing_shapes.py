@@ -18,7 +18,7 @@ from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
-from ._kernels.facing_boxes import BOX, HALF, REACH, face_boxes, fill_contact
+from ._kernels.facing_boxes import BOX, HALF, REACH, FacingBoxes, face_boxes, fill_contact
 from ._kernels.passing import SOLID_NUMBERS, may_pass
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
@@ -96,9 +96,9 @@ class FacingShapes:
         ).reshape(-1, 4)
         count = len(pairs)
         self.boxes = count > 0
-        self._used, self._normals = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
-        self._points, self._others = np.zeros((2, count, MOST, 3))
-        self._kinds, self._edges = np.zeros((count, MOST), dtype=np.int64), np.zeros((count, 2, 3))
+        points, others = np.zeros((2, count, MOST, 3))
+        used, kinds = np.zeros(count, dtype=np.int64), np.zeros((count, MOST), dtype=np.int64)
+        self._facing = FacingBoxes(used, np.zeros((count, 3)), points, others, kinds, np.zeros((count, 2, 3)))
 
     def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
         """Fill the places of pairs that may touch within a time.
@@ -116,17 +116,17 @@ class FacingShapes:
         if self.boxes:
             face_boxes(
                 *(self._work, q, v, h, near, touching, self._joints, self._boxes, self._ranges),
-                *(self._blanks, self._rests, self.idle, self._used),
-                *(self._normals, self._points, self._others, self._kinds, self._edges),
+                *(self._blanks, self._rests, self.idle, self._facing),
             )
             self._dynamics.check()
-        facing = np.flatnonzero(self._used).tolist() if touching >= 0.0 else []
+        found = self._facing
+        facing = np.flatnonzero(found.used).tolist() if touching >= 0.0 else []
         if facing or self._pairs:
             forward_kinematics(self._model, self._data, q, v)
         for p in facing:
-            for k in range(int(self._used[p])):
-                ends = self._points[p, k], self._others[p, k]
-                self._strike(self._box_pairs[p], self._ranges[p, 2] + k, self._normals[p], ends)
+            for k in range(int(found.used[p])):
+                ends = found.points[p, k], found.others[p, k]
+                self._strike(self._box_pairs[p], self._ranges[p, 2] + k, found.normals[p], ends)
         for places in self._pairs:
             if self._rests[[places.pair.a.joint, places.pair.b.joint]].all():
                 continue
@@ -136,10 +136,10 @@ class FacingShapes:
                 within = h * speed + near
             a, b = places.pair.placed(self._data)
             apart = a.rotation @ a.shape.center + a.translation - b.rotation @ b.shape.center - b.translation
-            found = None
+            close = None
             if np.linalg.norm(apart) <= a.shape.reach + b.shape.reach + within:
-                found = patch(a, b, within)
-            self._fill(places, found, touching >= 0.0)
+                close = patch(a, b, within)
+            self._fill(places, close, touching >= 0.0)
 
     def may_pass(self, q: Array, v: Array, h: float) -> bool:
         """Return whether solids may pass through each other in a step (h) with midpoint q and velocity v."""
@@ -148,13 +148,12 @@ class FacingShapes:
     def corners(self) -> dict[int, Corner]:
         """Return the corners that contacts stand for, by number, as `place` has found them last."""
         found: dict[int, Corner] = {}
-        for p in np.flatnonzero(self._used).tolist():
-            for k in range(int(self._used[p])):
-                ends = self._points[p, k].copy(), self._others[p, k].copy()
-                found[int(self._ranges[p, 2]) + k] = Corner(
-                    *(self._box_pairs[p], self._normals[p].copy(), *ends),
-                    *(int(self._kinds[p, k]), self._edges[p].copy()),
-                )
+        used, *faces = self._facing
+        for p in np.flatnonzero(used).tolist():
+            normal, points, others, kinds, edges = (one[p].copy() for one in faces)
+            for k in range(int(used[p])):
+                corner = Corner(self._box_pairs[p], normal, points[k], others[k], int(kinds[k]), edges)
+                found[int(self._ranges[p, 2]) + k] = corner
         for places in self._pairs:
             found |= {i: places.corners[i] for i in places.numbers[: places.used]}
         return found

@@ -215,9 +215,9 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds,
     """Fill the contact patch of two boxes within a distance; return the number of points, 0 if apart.
 
     Points (`MOST`, 3) [m] are of A, others opposite to them of B; gaps (`MOST`,) are along the normal (3,),
-    from B to A, negative where they overlap. Kinds (`MOST`,) are codes of what meets: `PLANE` for a point of A
-    on a face of B, `TIP_PLANE` for one of B on one of A, `EDGE`; edges (2, 3) take the directions of the edges
-    of A and B that meet, if any.
+    from B to A, negative where they overlap. Kinds (`MOST`,) are codes of what meets: `PLANE` for a point of
+    A on a face of B, `TIP_PLANE` for one of B on one of A, `EDGE`; edges (2, 3) take the directions of the
+    edges of A and B that meet, if any.
     """
     value, n1, n2, n3, kind = separate(a, half_a, b, half_b)
     if value > within:
@@ -284,26 +284,33 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds,
         for e in range(3):
             normal[e] = (points[0, e] - others[0, e]) / value
     else:
-        i, j = (kind - 6) // 3, (kind - 6) % 3
-        p, q, k, o = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-        _, inside = nearest_of_two_edges(
-            *(a, half_a, i, -sign(along(a, p, n1, n2, n3)), -sign(along(a, q, n1, n2, n3))),
-            *(b, half_b, j, sign(along(b, k, n1, n2, n3)), sign(along(b, o, n1, n2, n3)), points, others),
-        )
-        if inside:
-            kinds[0] = EDGE
-            for e in range(3):
-                edges[0, e], edges[1, e] = a[3 * i + e], b[3 * j + e]
-            turned = 0.0
-            for e in range(3):
-                f, g = (e + 1) % 3, (e + 2) % 3
-                turned += normal[e] * (edges[0, f] * edges[1, g] - edges[0, g] * edges[1, f])
-            for e in range(3):
-                edges[0, e] *= sign(turned)
+        crossing_edges(a, half_a, b, half_b, kind - 6, normal, points, others, kinds, edges)
     gaps[0] = 0.0
     for e in range(3):
         gaps[0] += (points[0, e] - others[0, e]) * normal[e]
     return 1 if gaps[0] <= within else 0
+
+
+@external
+def crossing_edges(a, half_a, b, half_b, pair, normal, points, others, kinds, edges):
+    """Fill the patch of two boxes whose edges, of axes i of A and j of B, are closest; `pair` is 3 i + j."""
+    n1, n2, n3 = normal
+    i, j = pair // 3, pair % 3
+    p, q, k, o = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+    _, inside = nearest_of_two_edges(
+        *(a, half_a, i, -sign(along(a, p, n1, n2, n3)), -sign(along(a, q, n1, n2, n3))),
+        *(b, half_b, j, sign(along(b, k, n1, n2, n3)), sign(along(b, o, n1, n2, n3)), points, others),
+    )
+    if inside:
+        kinds[0] = EDGE
+        for e in range(3):
+            edges[0, e], edges[1, e] = a[3 * i + e], b[3 * j + e]
+        turned = 0.0
+        for e in range(3):
+            f, g = (e + 1) % 3, (e + 2) % 3
+            turned += normal[e] * (edges[0, f] * edges[1, g] - edges[0, g] * edges[1, f])
+        for e in range(3):
+            edges[0, e] *= sign(turned)
 
 
 @inlined

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
-from ..._compile.jit import jit
+from ..._compile.declared import (
+    FLAGS,
+    FLOAT_ROWS,
+    FLOATS,
+    INTEGER_ROWS,
+    INTEGERS,
+    FloatRows,
+    FloatStack,
+    IntegerRows,
+    Integers,
+    declared,
+)
+from ..._compile.jit import inlined, jit
 from ...geometry._kernels.box_patch import MOST, box_patch
 from ...geometry._kernels.constants import (
     AXES,
@@ -74,31 +86,46 @@ def fill_contact(row, tip, base, normal, point, other, kind, edges, radius, size
         )
 
 
+@inlined
+def place_boxes(work, joints, boxes, placed, speeds):
+    """Fill placements (k, 12) of boxes at the kinematics last computed, and the largest speeds of points."""
+    for k in range(len(boxes)):
+        pose, motion, box = work.placements[joints[k]], work.local_velocities[joints[k]], boxes[k]
+        for axis in range(3):
+            n1, n2, n3 = rotate(pose, box[3 * axis], box[3 * axis + 1], box[3 * axis + 2])
+            placed[k, 3 * axis], placed[k, 3 * axis + 1], placed[k, 3 * axis + 2] = n1, n2, n3
+        placed[k, 9], placed[k, 10], placed[k, 11] = place(pose, box, 9)
+        arm = math.sqrt(box[9] ** 2 + box[10] ** 2 + box[11] ** 2) + box[REACH]
+        speeds[k] = math.sqrt(motion[0] ** 2 + motion[1] ** 2 + motion[2] ** 2) + arm * math.sqrt(
+            motion[3] ** 2 + motion[4] ** 2 + motion[5] ** 2
+        )
+
+
+class FacingBoxes(NamedTuple):
+    """Where pairs of boxes face each other; see `box_patch`.
+
+    Attributes:
+        used: (p,) how many contacts stand for corners.
+        normals: (p, 3) from the second box to the first.
+        points, others: (p, `MOST`, 3) the corners on the first box, and on the second.
+        kinds: (p, `MOST`) codes of what meets there.
+        edges: (p, 2, 3) edges that meet.
+    """
+
+    used: Integers
+    normals: FloatRows
+    points: FloatStack
+    others: FloatStack
+    kinds: IntegerRows
+    edges: FloatStack
+
+
 @declared(
     *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-    *(FLAGS, FLAGS, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK, INTEGER_ROWS, FLOAT_STACK),
+    *(FLAGS, FLAGS, FacingBoxes),
 )
 @jit
-def face_boxes(
-    work,
-    q,
-    v,
-    h,
-    near,
-    touching,
-    joints,
-    boxes,
-    pairs,
-    blanks,
-    rests,
-    idle,
-    used,
-    normals,
-    points,
-    others,
-    kinds,
-    edges,
-):
+def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, idle, facing):
     """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
 
     Args:
@@ -114,27 +141,13 @@ def face_boxes(
         blanks: (contacts, constants) what stands where nothing is near.
         rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
         idle: (contacts,) takes which contacts stand for no corner.
-        used: (p,) how many contacts stand for corners; takes how many do now.
-        normals: (p, 3) takes the normals, from the second box to the first.
-        points: (p, `MOST`, 3) takes the corners on the first box.
-        others: (p, `MOST`, 3) takes them on the second.
-        kinds: (p, `MOST`) takes the codes of what meets there, see `box_patch`.
-        edges: (p, 2, 3) takes the edges in contact.
+        facing: The `FacingBoxes`, which is filled.
     """
+    used, normals, points, others, kinds, edges = facing
     set_state(work, q, v)
     compute_kinematics(work)
-    count = len(boxes)
-    placed, speeds, gaps = np.empty((count, 12)), np.empty(count), np.empty(MOST)
-    for k in range(count):
-        pose, motion, box = work.placements[joints[k]], work.local_velocities[joints[k]], boxes[k]
-        for axis in range(3):
-            n1, n2, n3 = rotate(pose, box[3 * axis], box[3 * axis + 1], box[3 * axis + 2])
-            placed[k, 3 * axis], placed[k, 3 * axis + 1], placed[k, 3 * axis + 2] = n1, n2, n3
-        placed[k, 9], placed[k, 10], placed[k, 11] = place(pose, box, 9)
-        arm = math.sqrt(box[9] ** 2 + box[10] ** 2 + box[11] ** 2) + box[REACH]
-        speeds[k] = math.sqrt(motion[0] ** 2 + motion[1] ** 2 + motion[2] ** 2) + arm * math.sqrt(
-            motion[3] ** 2 + motion[4] ** 2 + motion[5] ** 2
-        )
+    placed, speeds, gaps = np.empty((len(boxes), 12)), np.empty(len(boxes)), np.empty(MOST)
+    place_boxes(work, joints, boxes, placed, speeds)
     for p in range(len(pairs)):
         a, b, first, room = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
         if rests[joints[a]] and rests[joints[b]]:
