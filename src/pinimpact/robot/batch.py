@@ -301,10 +301,11 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
         if last < 0 or not np.array_equal(rows.q[row], rows.q[last]):
             found, last = contact_matrices(model, data, rows.q[row], contact, *also), row
         v = rows.v[row]
-        if any(moves(anchor, v) for anchor in found.held):
+        size = found.velocity_scale(v)
+        if any(moves(anchor, v, size) for anchor in found.held):
             continue
         delassus[row], velocity[row] = found.delassus, found.velocity(v)
-        scale[row] = found.velocity_scale(v)
+        scale[row] = size
         if found.factor is not None:
             factors[row] = *found.factor[np.tril_indices(3)], found.factor_scale
         response[row], surface[row], axes[row] = found.response, found.surface_velocity, found.axes

@@ -189,7 +189,7 @@ def impact_derivatives(
             from .many_derivatives import derivatives_at_many
 
             return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
-    rest = held_at_rest(model, data, q, v, held), locked, True
+    rest = held_at_rest(model, data, q, v, contact, held), locked, True
     block, boundary = _differentiated(model, data, q, v, contact, *rest)
     if side is not None and np.isnan(block).any():
         own, cache = model_of(model), data_cache(model_of(model), data)
@@ -232,7 +232,7 @@ def impact_rows(
         world axes [N s]; columns without derivative are NaN.
     """
     dt = above_zero("dt", dt)
-    rest = held_at_rest(model, data, q, v, held), locked, False
+    rest = held_at_rest(model, data, q, v, contact, held), locked, False
     block, _ = _differentiated(model, data, q, v, contact, *rest)
     nv = len(block) - 3
     return dt * block[:, nv : 2 * nv], block[:, -1].copy()

@@ -23,10 +23,9 @@ class HeldContactWarning(UserWarning):
     """A held contact pulls on its surface during an impact."""
 
 
-def moves(geometry: ContactGeometry, v: Array) -> bool:
-    """Whether a held contact moves against its surface."""
-    scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
-    scale += float(np.linalg.norm(geometry.surface_velocity))
+def moves(geometry: ContactGeometry, v: Array, scale: float) -> bool:
+    """Whether a held contact moves against its surface, in an impact whose velocities have a scale [m/s]."""
+    scale = max(scale, geometry.velocity_scale(v))
     return float(np.linalg.norm(geometry.velocity(v))) > HELD_TOLERANCE * scale
 
 
@@ -40,21 +39,24 @@ def pull(geometry: ContactGeometry, push: Array, impulse: Array) -> float:
 
 
 def held_at_rest(
-    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, held: Sequence[Contact]
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, held: Sequence[Contact]
 ) -> tuple[Contact, ...]:
-    """Return held contacts; raise an error for those that move relative to their surfaces."""
+    """Return the contacts held in the impact of one; raise an error for those that move."""
     held = check_held(held)
     if held:
         placed = PlacedRobot(model_of(model), data, q)
         v = finite_array("v", v, (placed.model.nv,))
-        check_at_rest([placed.geometry(anchor) for anchor in held], held, v)
+        scale = placed.geometry(contact).velocity_scale(v) if contact.geometry is None else 0.0
+        check_at_rest([placed.geometry(anchor) for anchor in held], held, v, scale)
     return held
 
 
-def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:
-    """Raise an error for held contacts that move relative to their surfaces."""
+def check_at_rest(
+    geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array, scale: float
+) -> None:
+    """Raise an error for held contacts that move relative to their surfaces; see `moves`."""
     for anchor, geometry in zip(held, geometries, strict=True):
-        if moves(geometry, v):
+        if moves(geometry, v, scale):
             speed = float(np.linalg.norm(geometry.velocity(v)))
             raise InputError(
                 f"held: {anchor.label!r} moves at {speed:.3g} m/s relative to its surface before "

@@ -267,7 +267,7 @@ def derivatives_at_many(
     anchors, mobility = tuple(map(placed.geometry, held)), free.astype(np.float64)
     matrices = checked_matrices(placed, contacts, anchors, mobility, np.zeros((0, len(free))))
     v = finite_array("v", v, (len(free),))
-    check_at_rest(matrices.held, held, v)
+    check_at_rest(matrices.held, held, v, matrices.velocity_scale(v))
     velocity = matrices.velocity(v)
     approach = np.maximum(-velocity[:, 2], 0.0).tolist()
     bends = np.array([slope_of_restitution(c, speed) for c, speed in zip(contacts, approach, strict=True)])

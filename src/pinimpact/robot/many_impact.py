@@ -89,7 +89,7 @@ def impact_at_many(
     matrices = many_matrices(model, data, q, contacts, held, asked.locked, asked.stiffening)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
     placed.cache.check_limits(placed.q, stacklevel=6)
-    check_at_rest(matrices.held, held, v)
+    check_at_rest(matrices.held, held, v, matrices.velocity_scale(v))
     velocity = matrices.velocity(v)
     problem = many_problem(contacts, matrices, velocity)
     solution = solve_impact(problem, record=asked.record, simultaneous=policy, **asked.more)

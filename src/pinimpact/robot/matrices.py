@@ -131,6 +131,10 @@ class ManyMatrices(NamedTuple):
         """Return the (n, 3) contact velocities [m/s]."""
         return (self.jacobian @ np.asarray(v, dtype=np.float64)).reshape(-1, 3) - self.surface_velocity
 
+    def velocity_scale(self, v: Array) -> float:
+        """Return the size of the terms that `velocity` is the sum of, Σ|J||q̇| + |v_surface| [m/s]."""
+        return float(np.sum(np.abs(self.jacobian) @ np.abs(v)) + np.abs(self.surface_velocity).sum())
+
 
 def many_matrices(
     model: pin.Model,

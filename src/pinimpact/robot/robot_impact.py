@@ -292,7 +292,7 @@ def _general_impact(
     if contact.geometry is None:
         if contact.rim > 0.0:
             check_rims(PlacedRobot(model, data, q), (contact,))
-        held_at_rest(model, data, q, v, asked.held)
+        held_at_rest(model, data, q, v, contact, asked.held)
         return impact_in_steps(model, data, q, v, contact, asked)
     nearest = touching_points if is_pair(robot, contact) else touching_tips
     tips = nearest(robot, data, q, contact)

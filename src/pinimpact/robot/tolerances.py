@@ -10,8 +10,8 @@ AGREEMENT = HALF_DIGITS
 rounding is far below, since the links of the check have well-conditioned inertias."""
 
 HELD_TOLERANCE = MISSED
-"""Tolerance of the velocity of a held point: before an impact relative to the sum of the joints'
-contributions, at the start of a motion to 1 m/s and the largest velocity."""
+"""Tolerance of the velocity of a held point: before an impact relative to the sum of what joints contribute
+to it and to what collides, at the start of a motion to 1 m/s and the largest velocity."""
 
 SLACK = 1e-4
 """Distance [rad or m] beyond a bound without a warning, for rounded descriptions and compliant stops."""
