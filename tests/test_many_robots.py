@@ -344,7 +344,7 @@ def test_a_replay_shows_all_contacts_of_an_impact_at_once(landing):
     motion = simulate(Scene(model, contacts=feet(restitution=0.5)), q, np.zeros(model.nv), 0.105)
     first = motion.impacts[:4]
     places = {impact.source: (np.zeros(3), np.eye(3)) for impact in first}
-    mark = impact_mark({one.source: one for one in first}, places, "four feet")
+    mark = impact_mark([(one.source, one, places[one.source]) for one in first], "four feet")
     assert mark.source == "four feet"
     assert [contact.name for contact in mark.contacts] == [impact.source for impact in first]
     for contact, impact in zip(mark.contacts, first, strict=True):

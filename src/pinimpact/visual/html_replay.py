@@ -33,7 +33,7 @@ from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
 from .film import FRAMES_PER_SECOND, frame_times, slowed, width_of_slowness
-from .impact_marks import ImpactMark, impact_mark, many_mark
+from .impact_marks import ImpactMark, impact_mark
 from .page_file import Recorder, packed, page
 from .robot_shapes import (
     grid_square,
@@ -45,6 +45,7 @@ from .robot_shapes import (
     skeleton,
 )
 from .shapes_in_contact import bodies_of, contacts_to_draw, lit_shapes
+from .smooth_path import parts_at
 from .surface_shapes import surface_as_data
 from .video import write_video
 
@@ -229,7 +230,8 @@ def _motion_page(
         source = first.source
         if first.group is not None:
             source = _counted(bodies.get(one.source, one.source) for one in records)
-        marks.append(impact_mark({one.source: one for one in records}, places, source, first.time, on))
+        parts = [(one.source, one, places.get(one.source)) for one in records]
+        marks.append(impact_mark(parts, source, first.time, on))
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
     modes = [[bodies.get(m.source, m.source), m.mode, m.start, m.end] for m in trajectory.modes]
@@ -272,7 +274,10 @@ def _impact_page(
             raise InputError("q: missing; a hit does not have the configuration of the robot, give q=")
         q = finite_array("q", q, (model.nq,))
     if isinstance(impact, ManyHit):
-        mark, drawn = many_mark(impact), [] if robot is None else _contacts(model, impact.contacts)
+        names, places = [one.label for one in impact.contacts], zip(impact.points, impact.axes, strict=True)
+        parts = zip(names, parts_at(impact.problem, impact.solution), places, strict=True)
+        mark = impact_mark(list(parts), f"{len(names)} contacts")
+        drawn = [] if robot is None else _contacts(model, impact.contacts)
     else:
         contacts = [impact.contact] if given is None and isinstance(impact, Hit) else given or ()
         source = contacts[0].label if isinstance(impact, Hit) else impact.source
@@ -289,7 +294,7 @@ def _impact_page(
                 )
             geometry = contact_geometry(model, data_of(model), q, drawn[0])
             place = geometry.point, geometry.axes
-        mark = impact_mark({source: impact}, {source: place}, source)
+        mark = impact_mark([(source, impact, place)], source)
     still = np.zeros(0) if robot is None else q
     return _page(robot, model, np.zeros(2), [still] * 2, drawn, [None] * len(drawn), [mark], WITHIN, [])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,8 +11,7 @@ import numpy as np
 from ..arrays import Array
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
-from ..robot.many_impact import ManyHit
-from .smooth_path import invariant_directions, many_path, smooth_path
+from .smooth_path import invariant_directions, smooth_path
 
 EVERY = 3
 """A page has one of this many points of a smooth path."""
@@ -115,77 +114,45 @@ def contact_mark(
         every = EVERY if whole is None else 1
         shown = np.unique(np.append(np.arange(0, len(path.velocity), every), len(path.velocity) - 1))
         velocity, impulse = path.velocity[shown], path.impulse[shown]
-        segments = [(s.mode, s.phase, s.start, s.end) for s in solution.segments]
         if whole is not None:  # all of them go through the impact together
-            clock = whole.path.clock / (float(whole.path.clock[-1]) or 1.0)
+            clock = whole.path.clock - whole.path.clock[0]
+            clock = clock / clock[-1] if clock[-1] > 0.0 else np.linspace(0.0, 1.0, len(clock))
     else:
         velocity = np.array([problem.velocity, solution.velocity], dtype=float)
         impulse = np.array([np.zeros(3), solution.impulse])
-        segments = []
+    segments = [(s.mode, s.phase, s.start, s.end) for s in solution.segments] if along else []
     delassus = None if whole is not None else np.asarray(problem.delassus, dtype=float)
     mu = float(problem.friction)
     return ContactMark(name, point, axes, mu, delassus, velocity, impulse, segments, clock)
 
 
 def impact_mark(
-    impacts: Mapping[str, OneImpact],
-    places: Mapping[str, tuple[Array, Array]],
+    parts: Sequence[tuple[str, OneImpact, tuple[Array, Array] | None]],
     source: str,
     time: float = 0.0,
     slow: bool = True,
 ) -> ImpactMark:
     """Return the data of an impact for a replay, with the whole path if it is `slow`.
 
-    `impacts` are the `Hit` or records of its contacts, by name, places point (3,) and axes (3, 3) of those
-    that are drawn.
+    Each part is the name of a contact, its impact, and point (3,) and axes (3, 3) if it is drawn.
     """
-    problems = [impact.problem for impact in impacts.values()]
-    first = next(iter(impacts.values())).solution
+    impacts = [impact for _, impact, _ in parts]
+    problems = [impact.problem for impact in impacts]
     marks = [
-        contact_mark(name, *places[name], impact.problem, impact.solution, slow)
-        for name, impact in impacts.items()
-        if name in places
+        contact_mark(name, *place, impact.problem, impact.solution, slow)
+        for name, impact, place in parts
+        if place is not None
     ]
     return ImpactMark(
         time,
         source,
-        problems[0].law if len(problems) == 1 else first.part_of.law,
+        problems[0].law if len(parts) == 1 else impacts[0].solution.part_of.law,
         _same([problem.restitution for problem in problems]),
         _same([problem.friction for problem in problems]),
-        -sum(float(impact.solution.work.total) for impact in impacts.values()),
+        -sum(float(impact.solution.work.total) for impact in impacts),
         marks,
         slow,
     )
-
-
-def many_mark(hit: ManyHit) -> ImpactMark:
-    """Return the data of an impact at many contacts for a replay, in their order."""
-    contacts, problem, solution = hit.contacts, hit.problem, hit.solution
-    path = many_path(problem, solution)
-    clock, velocity, impulse = np.array([0.0, 1.0]), problem.velocity, solution.impulse
-    ways = np.array([velocity, solution.velocity]), np.array([np.zeros_like(impulse), impulse])
-    if path is not None:
-        span = float(path.clock[-1] - path.clock[0])
-        clock = (path.clock - path.clock[0]) / span if span > 0.0 else np.linspace(0.0, 1.0, len(path.clock))
-        ways = path.velocity, path.impulse
-    marks = [
-        ContactMark(
-            contact.label,
-            hit.points[k],
-            hit.axes[k],
-            contact.friction,
-            None,
-            ways[0][:, k],
-            ways[1][:, k],
-            [(s.mode, s.phase, s.start, s.end) for s in (solution.segments or [()] * len(contacts))[k]],
-            clock,
-        )
-        for k, contact in enumerate(contacts)
-    ]
-    lost = -float(np.sum(solution.work.total))
-    source = f"{len(contacts)} contacts"
-    same = (_same(problem.restitution), _same(problem.friction))
-    return ImpactMark(0.0, source, solution.law, *same, lost, marks, True)
 
 
 def _same(values: Any) -> float | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._numeric.tolerances import EPS, HALF_DIGITS
 from ..arrays import Array
-from ..contact_space.many_solution import ManyPath, ManySolution
+from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Path, Solution
 from ..contact_space.solve import solve_impact
@@ -29,17 +30,33 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
     return path
 
 
-def many_path(problem: ImpactProblem, solution: ManySolution) -> ManyPath | None:
-    """Return the path of an impact at many contacts, None if its policy has none.
+class Solved(NamedTuple):
+    """An impact problem with its solution, without a robot."""
+
+    problem: ImpactProblem
+    solution: Any
+
+
+def parts_at(problem: ImpactProblem, solution: ManySolution) -> list[Solved]:
+    """Return the parts of an impact at the contacts, with paths if its policy has any.
 
     A solution without ``record=True`` is solved again; the result must then be the same, since options of the
     policy are not known here.
     """
-    path = solution.path
+    path, count = solution.path, len(solution.velocity)
     if path is None:
         again = solve_impact(problem, record=True, simultaneous=solution.simultaneous)
         path = again.path if np.array_equal(again.impulse, solution.impulse) else None
-    return path if path is not None and len(path.clock) > 1 else None
+    whole = replace(solution, path=path if path is not None and len(path.clock) > 1 else None)
+    delassus, velocity = (np.asarray(x, dtype=float) for x in (problem.delassus, problem.velocity))
+    surface = np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (count, 3))
+    friction, restitution = (np.broadcast_to(x, count) for x in (problem.friction, problem.restitution))
+    parts = []
+    for k in range(count):
+        own, mu, e = slice(3 * k, 3 * k + 3), float(friction[k]), float(restitution[k])
+        one = ImpactProblem(delassus[own, own], velocity[k], mu, e, solution.law, surface[k])
+        parts.append(Solved(one, whole.part(k)))
+    return parts
 
 
 def invariant_directions(problem: ImpactProblem) -> Array:

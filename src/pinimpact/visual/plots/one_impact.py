@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ...contact_space.solve import solve_impact
 from ...errors import InputError
 from ...robot.many_impact import ManyHit
 from ..impact_marks import OneImpact
-from ..smooth_path import invariant_directions, many_path, smooth_path
+from ..smooth_path import Solved, invariant_directions, parts_at, smooth_path
 from .style import BLACK, COMPRESSION, FLOW, GREEN, RESTITUTION, RESUMED, STICK, axes_for, legend
 
 if TYPE_CHECKING:
@@ -24,13 +23,6 @@ if TYPE_CHECKING:
 
 Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem
 """Impacts that can be drawn: at one contact or at many."""
-
-
-class Solved(NamedTuple):
-    """An impact problem with its solution: a `OneImpact` without a robot."""
-
-    problem: ImpactProblem
-    solution: Any
 
 
 def solved(impact: Impact, contact: int | None = None) -> OneImpact:
@@ -67,21 +59,10 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
             f"one, 0 to {count - 1}",
             value=contact,
         )
-    path = many_path(problem, solution)
-    if path is None:
+    part = parts_at(problem, solution)[contact]
+    if part.solution.path is None:
         raise _pathless(solution)
-    own = slice(3 * contact, 3 * contact + 3)
-    surface = np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (count, 3))
-    friction, restitution = (np.broadcast_to(x, count) for x in (problem.friction, problem.restitution))
-    one = ImpactProblem(
-        np.asarray(problem.delassus, dtype=float)[own, own],
-        np.asarray(problem.velocity, dtype=float)[contact],
-        float(friction[contact]),
-        float(restitution[contact]),
-        solution.law,
-        surface[contact],
-    )
-    return Solved(one, replace(solution, path=path).part(int(contact)))
+    return part
 
 
 def _pathless(solution: ManySolution) -> InputError:
