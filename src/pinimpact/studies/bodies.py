@@ -73,7 +73,6 @@ def identify_body(
         bounds,
         group_numbers(found.group, len(found)),
         loss,
-        lambda name, x: "",
         setters={"com": _set_inertia, "inertia": _set_inertia, "radius": set_coefficient},
     )
 

@@ -122,7 +122,8 @@ def fit(
     free: Mapping[str, tuple[float, float]],
     group: Integers,
     loss: str,
-    reason: Callable[[str, Array], str],
+    *,
+    reason: Callable[[str, Array], str] = lambda name, x: "",
     trial: Callable[[Array], Array] | None = None,
     tolerance: float = RTOL,
     **known: Any,
@@ -201,7 +202,7 @@ def with_covariance(
     group: Integers,
     loss: str,
     scale: float,
-    reason: Callable[[str, Array], str],
+    reason: Callable[[str, Array], str] = lambda name, x: "",
     **known: Any,
 ) -> Identified:
     """Return a solution with its covariance by groups. (I3)–(I5)

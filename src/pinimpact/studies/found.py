@@ -58,7 +58,7 @@ class FoundImpacts:
         return f"FoundImpacts({counted(len(self), 'impact')} in {groups}, {len(self.dropped)} dropped)"
 
 
-def as_found(found: Any, scene: Scene, contact: Any, group: Any) -> FoundImpacts:
+def as_found(found: Any, scene: Scene, contact: Any) -> FoundImpacts:
     """Return (q, v⁻, v⁺) of a scene's robot as `FoundImpacts`, checked; those given are checked too.
 
     Raises `InputError` for wrong shapes or numbers, `UnknownNameError` for contacts that the scene does not

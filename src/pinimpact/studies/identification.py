@@ -135,7 +135,7 @@ def identify(
                 "fixed: with a scene, its contacts have the coefficients that are not free", value=fixed
             )
         scene = in_impacts(scene)
-        given = as_found(found, scene, contact, group)
+        given = as_found(found, scene, contact)
         if group is None and isinstance(found, FoundImpacts):
             group = given.group
         rows = _of_robot(given, scene, law, covariance, _stiffened(bounds))
@@ -203,7 +203,9 @@ def _fitted(rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers
 
     setters = dict.fromkeys(RANGES, set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
     trial = partial(residual, derivatives=False)
-    return fit(residual, jacobian, bounds, group, loss, reason, trial, law=rows.law, setters=setters)
+    return fit(
+        residual, jacobian, bounds, group, loss, reason=reason, trial=trial, law=rows.law, setters=setters
+    )
 
 
 def _checked(

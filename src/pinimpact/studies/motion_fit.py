@@ -115,8 +115,9 @@ class _Fits(NamedTuple):
         return fit(
             lambda x: at(tuple(x.tolist())),
             lambda x: slopes_at(tuple(x.tolist())),
-            *(self.bounds, _groups(starts), self.loss, _no_reason),
-            *(partial(self.residual, _some(starts, FIRST)), TOLERANCE),
+            *(self.bounds, _groups(starts), self.loss),
+            trial=partial(self.residual, _some(starts, FIRST)),
+            tolerance=TOLERANCE,
             law=self.law,
             setters=self.setters,
         )
@@ -154,7 +155,7 @@ class _Fits(NamedTuple):
         found |= {"fun": here.ravel(), "jac": slopes.reshape(-1, len(low))}
         found.cost = float(LOSSES[self.loss]((here / scale) ** 2)[0].sum()) * 0.5 * scale**2
         result = with_covariance(
-            *(found, self.bounds, here, slopes, group, self.loss, scale, _no_reason),
+            *(found, self.bounds, here, slopes, group, self.loss, scale),
             law=self.law,
             setters=self.setters,
         )
@@ -169,10 +170,6 @@ def _some(starts: list[Start], most: int) -> list[Start]:
 
 def _groups(starts: list[Start]) -> Integers:
     return group_numbers([start.label for start in starts], len(starts))
-
-
-def _no_reason(name: str, x: Array) -> str:
-    return ""
 
 
 def _without_jumps(result: Identified, ahead: Array, behind: Array) -> None:

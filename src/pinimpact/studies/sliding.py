@@ -111,9 +111,7 @@ def identify_sliding(
     tilted = -0.5 * strength, 0.5 * strength
     bounds = {name: (0.0, 2.0) if name == "sliding_friction" else tilted for name in names}
     setters = {"sliding_friction": set_coefficient, "gravity": _set_gravity}
-    return fit(
-        residual, jacobian, bounds, group, loss, lambda name, x: "", setters=setters, slides=len(slides)
-    )
+    return fit(residual, jacobian, bounds, group, loss, setters=setters, slides=len(slides))
 
 
 def _axes(scene: Scene) -> Array:
