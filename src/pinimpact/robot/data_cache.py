@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from .._numeric.tolerances import HALF_DIGITS
+from ..arrays import Integers
 from ..checks import finite_array
 from ..errors import InputError
 from ._kernels.robot_workspace import RobotWorkspace
@@ -26,8 +27,8 @@ class DataCache:
 
     parents (nv,) are the next velocities towards the root, or −1. If joints mimic others (`mimics`) the joint
     Jacobian has different columns; `flaw` is why Pinocchio gives wrong results, if it does; `curved` whether
-    nq is not nv. Beyond bounds (2, nq) a warning is given. `workspaces` has by its id a contact and its
-    workspace, see `struck`.
+    nq is not nv; `joints` those of the velocities and what these stand on, once asked for. Beyond bounds (2,
+    nq) a warning is given. `workspaces` has by its id a contact and its workspace, see `struck`.
     """
 
     def __init__(self, model: pin.Model, data: Any) -> None:
@@ -45,6 +46,7 @@ class DataCache:
         self.curved = model.nq != model.nv
         self.flaw = flaw(model)
         self.bounds = bounds(model) + np.array([[-SLACK], [SLACK]])
+        self.joints: tuple[Integers, Integers] | None = None
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         self.workspaces: dict[int, tuple[Any, RobotWorkspace | None]] = {}

@@ -328,10 +328,11 @@ class Tree(NamedTuple):
     @classmethod
     def of(cls, placed: PlacedRobot) -> Tree:
         """Return those of a robot at a configuration."""
-        model = placed.model
-        check_joints(model)
-        joint, parent = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents)
-        return cls(joint_jacobian(model, placed.data, placed.q), joint, parent)
+        model, cache = placed.model, placed.cache
+        if cache.joints is None:
+            check_joints(model)
+            cache.joints = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents)
+        return cls(joint_jacobian(model, placed.data, placed.q), *cache.joints)
 
 
 class Place(NamedTuple):

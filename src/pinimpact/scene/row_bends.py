@@ -6,7 +6,6 @@ tangential components; along the normal it is the second rate of the gap.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -27,37 +26,35 @@ class RowBends(NamedTuple):
 
     Attributes:
         bends: (k, 3) J̇ v [m/s²].
-        changes: (k, 3, n) how they change, in axes that follow the configuration.
+        by_q, by_v: (k, 3, nv) how they change, in axes that follow the configuration.
     """
 
     bends: Array
-    changes: Array
+    by_q: Array
+    by_v: Array
 
 
 class _Along(NamedTuple):
-    """Velocities of contacts at a configuration, and how they change.
+    """Velocities of contacts at a configuration, against the surface in the world, and how they change.
 
     Attributes:
-        velocity: (k, 3) against the surface, in the world.
-        rate: (k,) of the gap.
-        by: (k, 3, n) changes of the first.
-        by_rate: (k, n) changes of the second.
+        velocity: (k, 3).
+        by_q, by_v: (k, 3, nv) changes by this configuration and by v.
+        follows: (k, 3, nv) by how corners move over the shapes with the configuration at the midpoint.
+        rate, rate_by_q, rate_by_v, rate_follows: The same of the rates of gaps.
     """
 
     velocity: Array
+    by_q: Array
+    by_v: Array
+    follows: Array
     rate: Array
-    by: Array
-    by_rate: Array
+    rate_by_q: Array
+    rate_by_v: Array
+    rate_follows: Array
 
 
-def row_bends(
-    model: pin.Model,
-    data: pin.Data,
-    h: float,
-    slopes: RowSlopes,
-    state: tuple[Array, Array],
-    changes: tuple[Array, Array],
-) -> RowBends:
+def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: Array, v: Array) -> RowBends:
     """Return the bends of a step's rows of contacts.
 
     Args:
@@ -65,71 +62,51 @@ def row_bends(
         data: Data that are overwritten.
         h: Length of the step [s].
         slopes: Of its rows, at the configuration.
-        state: Configuration (nq,) and velocity (nv,).
-        changes: (nv, n) of these.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
     """
-    k, n = len(slopes.rows), changes[0].shape[1]
-    if not state[1].any() or not k:
-        return RowBends(np.zeros((k, 3)), np.zeros((k, 3, n)))
-    s = PART * h
-    ends = [
-        _along(*one, slopes, state[1], changes) for one in _places(model, data, slopes, state, changes, s)
-    ]
-    bends, rates, by, by_rates = ((after - before) / s for before, after in zip(*ends, strict=True))
-    found, by_state = np.empty((k, 3)), np.empty((k, 3, n))
-    for i, (row, axes) in enumerate(zip(slopes.rows, slopes.axes, strict=True)):
-        turned = by[i] - row.turned(bends[i]) @ changes[0]
-        found[i], by_state[i] = axes @ bends[i], axes @ turned
-        found[i, 2], by_state[i, 2] = rates[i], by_rates[i]
-    return RowBends(found, by_state)
-
-
-def _places(
-    model: pin.Model,
-    data: pin.Data,
-    slopes: RowSlopes,
-    state: tuple[Array, Array],
-    changes: tuple[Array, Array],
-    s: float,
-) -> Iterator[tuple[float, list[ContactRow], Array, Array]]:
-    """Give time, rows, motions and changes of the configuration at the midpoint, and a time s along v."""
-    (q, v), (by_q, by_v) = state, changes
-    yield 0.0, slopes.fixed, slopes.motions(v), by_q
+    k, nv, s = len(slopes.rows), len(v), PART * h
+    if not v.any() or not k:
+        return RowBends(np.zeros((k, 3)), *np.zeros((2, k, 3, nv)))
     turn, push = pin.dIntegrate(model, q, s * v)
     placed = PlacedRobot(model, data, pin.integrate(model, q, s * v))
     tree = Tree.of(placed)
     rows = rows_of(placed, tree, slopes.carried, True)[1]
-    yield s, rows, motions_in(tree, v), turn @ by_q + push @ (s * by_v)
-
-
-def _along(
-    t: float,
-    rows: list[ContactRow],
-    motions: Array,
-    moved: Array,
-    slopes: RowSlopes,
-    v: Array,
-    changes: tuple[Array, Array],
-) -> _Along:
-    """Return velocities v of the contacts at one of `_places`."""
-    by_q, by_v = changes
-    k, n = len(rows), by_q.shape[1]
-    found = _Along(np.empty((k, 3)), np.empty(k), np.empty((k, 3, n)), np.empty((k, n)))
-    for i, (row, sign) in enumerate(zip(rows, slopes.signs.tolist(), strict=True)):
-        axes, jacobian = row.axes, row.jacobian
-        velocity, along = jacobian @ v - row.of_surface, row.slopes(motions, True)
-        found.velocity[i], found.rate[i] = velocity, axes[2] @ velocity
-        found.by[i] = (axes.T @ along + row.turned(velocity)) @ moved + jacobian @ by_v
-        found.by_rate[i] = along[2] @ moved + axes[2] @ jacobian @ by_v
-        if slopes.rows[i] is not slopes.fixed[i]:  # a corner moves over the shapes, which carry that on
-            tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
-            follows, fixed, n = slopes.rows[i], slopes.fixed[i], slopes.fixed[i].axes[2]
-            moves = (follows.place.shifts - fixed.place.shifts)[:, :3].T @ by_q
-            tilt = np.cross((follows.turns - fixed.turns).T, n).T @ by_q
-            moves, tilt = moves + t * np.cross(tip, moves.T).T, tilt + t * np.cross(base, tilt.T).T
-            by_moves = np.cross(tip - base, moves.T).T
-            found.by[i] += by_moves
-            found.by_rate[i] += axes[2] @ by_moves + velocity @ tilt
-        found.velocity[i] *= sign
-        found.by[i] *= sign
+    start = _along(0.0, slopes.fixed, slopes.motions(v), slopes, v)
+    end = _along(s, rows, motions_in(tree, v), slopes, v)
+    axes, turns = np.array(slopes.axes), np.array([row.turns for row in slopes.rows])
+    bends = (end.velocity - start.velocity) / s
+    by_q = (end.by_q @ turn + end.follows - start.by_q - start.follows) / s
+    by_v = end.by_q @ push + (end.by_v - start.by_v) / s
+    found = RowBends((axes @ bends[:, :, None])[:, :, 0], axes @ (by_q + _skews(bends) @ turns), axes @ by_v)
+    found.bends[:, 2] = (end.rate - start.rate) / s
+    found.by_q[:, 2] = (end.rate_by_q @ turn + end.rate_follows - start.rate_by_q - start.rate_follows) / s
+    found.by_v[:, 2] = end.rate_by_q @ push + (end.rate_by_v - start.rate_by_v) / s
     return found
+
+
+def _along(t: float, rows: list[ContactRow], motions: Array, slopes: RowSlopes, v: Array) -> _Along:
+    """Return velocities v of the contacts at the configuration of some rows, a time t after the midpoint."""
+    axes, jacobian = (np.array([getattr(row, name) for row in rows]) for name in ("axes", "jacobian"))
+    along = np.array([row.slopes(motions, True) for row in rows])
+    velocity = jacobian @ v - np.array([row.of_surface for row in rows])
+    by_q = axes.transpose(0, 2, 1) @ along - _skews(velocity) @ np.array([row.turns for row in rows])
+    follows, normals, signs = np.zeros_like(by_q), axes[:, 2], slopes.signs[:, None]
+    rate_follows = np.zeros_like(follows[:, 0])
+    for i, (row, follow, fixed) in enumerate(zip(rows, slopes.rows, slopes.fixed, strict=True)):
+        if follow is not fixed:  # a corner moves over the shapes, which carry that on
+            tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
+            moves = (follow.place.shifts - fixed.place.shifts)[:, :3].T
+            tilt = -pin.skew(fixed.axes[2]) @ (follow.turns - fixed.turns)
+            moves, tilt = moves + t * pin.skew(tip) @ moves, tilt + t * pin.skew(base) @ tilt
+            follows[i] = pin.skew(tip - base) @ moves
+            rate_follows[i] = normals[i] @ follows[i] + velocity[i] @ tilt
+    return _Along(
+        *(signs * velocity, signs[:, None] * by_q, signs[:, None] * jacobian, signs[:, None] * follows),
+        *((normals * velocity).sum(axis=1), along[:, 2], (normals[:, None] @ jacobian)[:, 0], rate_follows),
+    )
+
+
+def _skews(vectors: Array) -> Array:
+    """Return the matrices (k, 3, 3) of the cross products with vectors (k, 3)."""
+    return np.array([pin.skew(one) for one in vectors])

@@ -103,6 +103,9 @@ class StepSlopes:
         self.boundary = Boundary.NONE
         self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
         self._carried = np.zeros(model.nv, dtype=bool)
+        # of the step last asked for
+        self._known: tuple[StepTaken, _Rows] | None = None
+        self._held: tuple[StepTaken, ActiveSets] | None = None
         for kind, _, j, _ in self._frames:
             self._carried[j : j + (3 if kind == RIGID else 2)] = True
 
@@ -187,8 +190,14 @@ class StepSlopes:
         return modes
 
     def _sets(self, taken: StepTaken, otherwise: bool) -> ActiveSets:
-        work = self._work
-        return active_sets(taken, work.friction, work.dry_friction, self._compliances, otherwise)
+        if otherwise or self._held is None or self._held[0] is not taken:
+            work = self._work
+            given = work.friction, work.dry_friction, self._compliances, otherwise
+            found = active_sets(taken, *given)
+            if otherwise:
+                return found
+            self._held = taken, found
+        return self._held[1]
 
     # ---- the equations of a step
 
@@ -301,29 +310,37 @@ class StepSlopes:
             v: (nv,) the velocity at its start.
             moved: Changes of the configuration at its midpoint, of v and of its length, (…, n).
         """
-        middle, by_v, length = moved
-        jacobian = _dense(taken.rows, len(v))
+        if self._known is None or self._known[0] is not taken:
+            self._known = taken, self._row_maps(taken, v)
+        maps, every = self._known[1], np.vstack([moved[0], moved[1], moved[2][None]])
+        if maps.slopes.features_meet:
+            self.boundary |= Boundary.FEATURES_MEET
+        return maps._replace(start=maps.start @ every, end=maps.end @ every, gaps=maps.gaps @ every)
+
+    def _row_maps(self, taken: StepTaken, v: Array) -> _Rows:
+        """Return the same by the configuration, by v and by the length, so that n = 2nv + 1."""
+        nv, h = len(v), taken.h
+        jacobian = _dense(taken.rows, nv)
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, *taken.near, self._spare)
-        if slopes.features_meet:
-            self.boundary |= Boundary.FEATURES_MEET
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
-        start, end = np.zeros((2, len(jacobian), middle.shape[1]))
+        start, end, gaps = np.zeros((3, len(jacobian), 2 * nv + 1))
+        gaps[:, :nv] = start[:, nv:-1] = jacobian
         for out, velocity in ((start, v), (end, taken.found.v_end)):
             motions = slopes.motions(velocity)
             for k, row in enumerate(slopes.rows):
-                out[3 * k : 3 * k + 3] = turns[k] @ row.slopes(motions, True) @ middle
-        gaps = jacobian @ middle
-        if not taken.found.bent[0]:
-            return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end, gaps)
-        h, given = taken.h, ((taken.middle, v), (middle, by_v))
-        bends, changes = row_bends(self._model, self._aside, h, slopes, *given)
-        bent = 0.5 * (h * changes + bends[:, :, None] * length)
-        turned = (turns @ bent).reshape(-1, middle.shape[1])
-        start[: len(turned)] -= turned
-        end[: len(turned)] += turned
-        gaps[2 : len(turned) : 3] -= 0.25 * h * bent[:, 2] + 0.125 * h * bends[:, 2, None] * length
-        return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end, gaps)
+                out[3 * k : 3 * k + 3, :nv] = turns[k] @ row.slopes(motions, True)
+        if taken.found.bent[0]:
+            bends = row_bends(self._model, self._aside, h, slopes, taken.middle, v)
+            every = np.concatenate(
+                [0.5 * h * bends.by_q, 0.5 * h * bends.by_v, 0.5 * bends.bends[:, :, None]], 2
+            )
+            turned = (turns @ every).reshape(-1, 2 * nv + 1)
+            start[: len(turned)] -= turned
+            end[: len(turned)] += turned
+            gaps[2 : len(turned) : 3] -= 0.25 * h * every[:, 2]
+            gaps[2 : len(turned) : 3, -1] -= 0.125 * h * bends.bends[:, 2]
+        return _Rows(jacobian, slopes, turns, start, end, gaps)
 
     def _mass(self, q: Array) -> Array:
         upper = mass_matrix(self._model, self._data, q)

@@ -176,12 +176,11 @@ class TimeStepping(Integrator):
         if self.record.keeps_steps:
             step.taken = self._taken(h, (middle, system.softened, pushed), axes, rows, found)
         closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
-        slowest = within = touching = 0.0
+        slowest = within = 0.0
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
             slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
-            touching = max(within, float(found.sag[0]))  # what has been closed takes part
-            if may_be_halved and not self._meets(*step.at(step.end), slowest, touching):
+            if may_be_halved and not self._meets(*step.at(step.end), slowest, within):
                 state.pushed, state.step_before = before
                 return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
@@ -199,11 +198,11 @@ class TimeStepping(Integrator):
             if step.taken is not None:
                 touches = closing & (found.gaps_at(share, h, rows) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
-            self._collide(slowest, touching, step.taken)
+            self._collide(slowest, within, step.taken)
             return CUT
         active = ~found.arrives
         moved = self._no_change
-        if overlap > max(self._touching, self.work.resting_speed * h):
+        if overlap > max(self._touching, self._closed(h, found)):
             moved = self._project(step, h, overlap, system)
         if self._continuous is None:
             self._let_rest(step, rows, active, (v, found.v_end, moved / h))
@@ -231,7 +230,7 @@ class TimeStepping(Integrator):
         self._invert(middle, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, self._tree, self._start),
-            *(self._rest.joints, self._collides, self._compliances, self.work.resting_speed),
+            *(self._rest.joints, self._collides, self._compliances),
         )
         state.warm_start = np.array(state.warm_start)
         rows = self._rows(middle, v, h, slack, self._faces.boxes)
@@ -399,7 +398,11 @@ class TimeStepping(Integrator):
         kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
         rests = self._rest.joints[work.velocity_joint]
         given = h, q, softened, pushed, follows, rests, self._near_of(rows), axes
-        return StepTaken(*given, rows, kept, self._touching, work.resting_speed * h)
+        return StepTaken(*given, rows, kept, self._touching, self._closed(h, found))
+
+    def _closed(self, h: float, found: StepResult) -> float:
+        """Return the overlap [m] that a step of length h closes by velocities."""
+        return h * self.work.resting_speed if found.bent[0] else 0.0
 
     def _near_of(self, rows: StepRows) -> Near:
         """Return what some rows belong to, with the corners that contacts of two shapes stand for now."""

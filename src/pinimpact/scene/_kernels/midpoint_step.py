@@ -122,7 +122,7 @@ def bend_rows(work, h, rows, acceleration, turning, offset, found):
         acceleration, turning: See `fill_rows`. Axes stand still for tangential velocities; the normal follows
             the surface, as the rate of the gap does.
         offset: (rows,) what is added to J v; takes that for the end.
-        found: The `StepResult`; `u_start` by the rows at the midpoint takes the change, `sag` is filled.
+        found: The `StepResult`; `u_start`, by the rows at the midpoint, takes the change.
     """
     bends = np.empty(len(offset))
     rates(rows.values, rows.columns, rows.counts, work.acceleration, bends)
@@ -134,7 +134,6 @@ def bend_rows(work, h, rows, acceleration, turning, offset, found):
             offset[3 * k + e] += 0.5 * h * bend
             if e == 2:
                 rows.gap[k] -= 0.125 * h * h * bend
-                found.sag[0] = max(found.sag[0], 0.125 * h * h * abs(bend))
 
 
 @inlined
@@ -207,7 +206,7 @@ def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
 
 
 @inlined
-def contact_problem(work, h, system, rows, arrives, free):
+def contact_problem(work, h, system, rows, arrives, slow, free):
     """Return the `VelocityProblem` of a step, and which of its contacts and scalar rows take part.
 
     Args:
@@ -215,6 +214,7 @@ def contact_problem(work, h, system, rows, arrives, free):
         system: The `StepSystem`.
         rows: The `StepRows`.
         arrives: (nc + nl,) what takes no part.
+        slow: Speed up to which overlap is closed [m/s].
         free: (rows,) velocities at the end of the step without impulses; takes gap/h in addition, for gaps
             at the midpoint of the next step are to be ≥ 0. (16.2)
     """
@@ -235,9 +235,9 @@ def contact_problem(work, h, system, rows, arrives, free):
             lower[k] = -upper[k]
         elif a >= 3 * every:
             lower[k] = 0.0
-            free[a] += closing_speed(gap[a - 2 * every], system.slow, h)
+            free[a] += closing_speed(gap[a - 2 * every], slow, h)
     for i in range(every):
-        free[3 * i + 2] += closing_speed(gap[i], system.slow, h) if i < nc else gap[i] / h
+        free[3 * i + 2] += closing_speed(gap[i], slow, h) if i < nc else gap[i] / h
     problem = VelocityProblem(
         *(system.mass, system.inverse, system.start, values, columns, counts, free, friction),
         *(lower, upper, compliance),
@@ -284,7 +284,7 @@ def gains(h, system, rows, v, pushed, found):
     """Return whether contacts do work on the robot in a step from velocities v (nv,).
 
     Rows at the midpoint alone cannot: with J v⁺ = 0 the work is −½ (J v)ᵀ W⁻¹ J v. Those that bend add
-    ½ bᵀ W⁻¹ b, which has no bound near a singular posture.
+    ½ bᵀ W⁻¹ b, and overlap that is closed likewise, which has no bound near a singular posture.
     """
     work_done = energy = 0.0
     for a in range(3 * len(rows.surface)):
@@ -338,7 +338,7 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
 )
 @external
 def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent):
-    """Take a step with rows that bend along its velocity, or do not; see `midpoint_step`."""
+    """Take a step, `bent` or not, see `StepResult`; arguments are those of `midpoint_step`."""
     n, nv, powers = len(rows.counts), len(v), np.empty(2)
     offset, free, mean = np.empty(n), np.empty(n), np.empty(nv)
     acceleration, turning = np.empty((2, len(rows.contacts) + len(rows.held), 3))
@@ -365,7 +365,8 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
         return 0.0, 1.0, 0.0, 0.0
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)
-    problem, active = contact_problem(work, h, system, rows, found.arrives, free)
+    slow = work.resting_speed if bent else 0.0
+    problem, active = contact_problem(work, h, system, rows, found.arrives, slow, free)
     off = step_impulses(problem, active, system.tree, SOFTEST, SETTLED, begin, mean, found.impulse)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:

@@ -52,8 +52,7 @@ class StepRows(NamedTuple):
         predicted, v_end = np.empty((2, nv))
         items = len(self.contacts) + len(self.limits)
         arrives, gaps = np.empty(items, dtype=bool), np.empty(items)
-        bent, sag = np.empty(1, dtype=bool), np.zeros(1)
-        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, bent, sag)
+        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, np.empty(1, dtype=bool))
 
     @property
     def held_rows(self) -> Integers:
@@ -73,7 +72,6 @@ class StepSystem(NamedTuple):
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
         compliances: (n,) of all contacts.
-        slow: Speed up to which overlap is closed, as gaps are [m/s].
     """
 
     mass: FloatRows
@@ -84,7 +82,6 @@ class StepSystem(NamedTuple):
     rests: Flags
     collides: Flags
     compliances: Floats
-    slow: float
 
 
 class StepResult(NamedTuple):
@@ -98,8 +95,7 @@ class StepResult(NamedTuple):
         predicted: (nv,) the velocity with which forces were evaluated at the end.
         v_end: (nv,) the velocity at the end.
         gap_end: (nc + nl,) the gaps at the end [m].
-        bent: (1,) whether the rows of contacts bend along the velocity.
-        sag: (1,) the largest distance of what is closed at the ends from its surface in between [m].
+        bent: (1,) whether the rows of contacts bend along the velocity, and slow overlap is closed.
     """
 
     impulse: Floats
@@ -110,7 +106,6 @@ class StepResult(NamedTuple):
     v_end: Floats
     gap_end: Floats
     bent: Flags
-    sag: Floats
 
     def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
         """Return the gaps (nc + nl,) after a part of a step of length h, whose rates are linear in time."""
