@@ -101,12 +101,13 @@ def scene_of(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[Scene, np.ndar
 
 
 def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
-    """Return seconds of computing and a remark."""
+    """Return seconds of computing, once kernels are loaded, and a remark."""
     scene, q0, v0 = scene_of(boxes, pairs)
-    simulate(scene, q0, v0, 3 * STEP, scheme="time-stepping", dt=STEP)
-    begun = time.process_time()
-    run = simulate(scene, q0, v0, boxes.duration, scheme="time-stepping", dt=STEP)
-    return time.process_time() - begun, "; ".join(note.text for note in run.notes)
+    for _ in range(2):
+        begun = time.process_time()
+        run = simulate(scene, q0, v0, boxes.duration, scheme="time-stepping", dt=STEP)
+        seconds = time.process_time() - begun
+    return seconds, "; ".join(note.text for note in run.notes)
 
 
 def in_mujoco(boxes: Boxes, pairs: list[tuple[int, int]], step: float = STEP) -> mujoco.MjModel:
