@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .._numeric.tolerances import NOISE
 from ..arrays import Array, Integers
 
 LARGE = 60
@@ -99,6 +100,14 @@ def joint_jacobian(model: pin.Model, data: Any, q: Array) -> Array:
 def mass_matrix(model: pin.Model, data: Any, q: Array) -> Array:
     """Return M (nv, nv) at q (nq,); for a Data or a `Forest`."""
     return _by_blocks(pin.crba, model, data, q)
+
+
+def has_constant_mass(model: pin.Model, data: Any) -> bool:
+    """Return whether M is that of free bodies, the same everywhere: it is compared in two configurations."""
+    q = pin.neutral(model)
+    first = mass_matrix(model, data, q)
+    second = mass_matrix(model, data, pin.integrate(model, q, np.linspace(0.3, 1.1, model.nv)))
+    return bool(np.abs(second - first).max(initial=0.0) <= NOISE * np.abs(first).max(initial=0.0))
 
 
 def composite_inertias(model: pin.Model, data: Any, q: Array) -> Array:

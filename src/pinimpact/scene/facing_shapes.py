@@ -67,8 +67,10 @@ class FacingShapes:
         work = self._work
         self._blanks = work.contact_constants.copy()
         self.idle = np.array([contact.pair is not None for contact in dynamics.contacts], dtype=bool)
+        self._kept = np.flatnonzero(self.idle)
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
+        self._ends = work.contact_joints[self._kept]
         self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
         self._solids = _solids([pair for pair, _ in every], dynamics)
         self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
@@ -99,6 +101,18 @@ class FacingShapes:
         points, others = np.zeros((2, count, MOST, 3))
         used, kinds = np.zeros(count, dtype=np.int64), np.zeros((count, MOST), dtype=np.int64)
         self._facing = FacingBoxes(used, np.zeros((count, 3)), points, others, kinds, np.zeros((count, 2, 3)))
+
+    def clear(self) -> None:
+        """Let no contact stand for a point."""
+        for i, blank in self._struck.items():
+            self._dynamics.contacts[i] = blank
+        self._struck.clear()
+        self._work.contact_constants[self._kept] = self._blanks[self._kept]
+        self._work.contact_joints[self._kept] = self._ends
+        self.idle[self._kept] = True
+        self._facing.used[:] = 0
+        for places in self._pairs:
+            places.used = 0
 
     def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
         """Fill the places of pairs that may touch within a time.

@@ -32,8 +32,12 @@ class Rest:
         self.tree: Integers = self._trees[work.velocity_joint]
         self.joints = np.arange(model.njoints) == 0
         self._none = np.full(int(self.tree.max()) + 1, -1)
-        if state.islands is None:
-            state.islands = self._none
+        self.restart()
+
+    def restart(self) -> None:
+        """Go on with what rests in the state."""
+        if self._state.islands is None:
+            self._state.islands = self._none
         self._set_joints()
 
     def __bool__(self) -> bool:

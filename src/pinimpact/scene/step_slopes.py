@@ -121,7 +121,7 @@ class StepSlopes:
         if not chosen.any():
             return x
         self.boundary |= Boundary.CLOSED
-        jacobian, inverse, x = _dense(taken.rows, nv), np.linalg.inv(self._mass(step.q)), x.copy()
+        jacobian, inverse, x = self._maps(taken, step.v).jacobian, np.linalg.inv(self._mass(step.q)), x.copy()
         kept, n = sets.rows[chosen], x.shape[1]
         pushed = np.zeros((2 * nv, 2 * len(kept)))
         pushed[:nv, : len(kept)] = inverse @ jacobian[kept].T
@@ -310,15 +310,15 @@ class StepSlopes:
             v: (nv,) the velocity at its start.
             moved: Changes of the configuration at its midpoint, of v and of its length, (…, n).
         """
-        if self._known is None or self._known[0] is not taken:
-            self._known = taken, self._row_maps(taken, v)
-        maps, every = self._known[1], np.vstack([moved[0], moved[1], moved[2][None]])
+        maps, every = self._maps(taken, v), np.vstack([moved[0], moved[1], moved[2][None]])
         if maps.slopes.features_meet:
             self.boundary |= Boundary.FEATURES_MEET
         return maps._replace(start=maps.start @ every, end=maps.end @ every, gaps=maps.gaps @ every)
 
-    def _row_maps(self, taken: StepTaken, v: Array) -> _Rows:
+    def _maps(self, taken: StepTaken, v: Array) -> _Rows:
         """Return the same by the configuration, by v and by the length, so that n = 2nv + 1."""
+        if self._known is not None and self._known[0] is taken:
+            return self._known[1]
         nv, h = len(v), taken.h
         jacobian = _dense(taken.rows, nv)
         placed = PlacedRobot(self._model, self._data, taken.middle)
@@ -340,7 +340,8 @@ class StepSlopes:
             end[: len(turned)] += turned
             gaps[2 : len(turned) : 3] -= 0.25 * h * every[:, 2]
             gaps[2 : len(turned) : 3, -1] -= 0.125 * h * bends.bends[:, 2]
-        return _Rows(jacobian, slopes, turns, start, end, gaps)
+        self._known = taken, _Rows(jacobian, slopes, turns, start, end, gaps)
+        return self._known[1]
 
     def _mass(self, q: Array) -> Array:
         upper = mass_matrix(self._model, self._data, q)

@@ -14,10 +14,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from .._numeric.tolerances import HALF_DIGITS, NOISE
+from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
-from ..robot.forest import mass_matrix, potential_energy
+from ..robot.forest import has_constant_mass, mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.midpoint_step import midpoint_step, near_rows
@@ -64,6 +64,10 @@ _NO_NUMBERS = np.empty(0, dtype=np.int64)
 class TimeStepping(Integrator):
     """A motion in steps of the length `dt` of the options; see `Integrator`."""
 
+    _prepared = False
+    _rest: Rest
+    _faces: FacingShapes
+
     def _prepare(self) -> None:
         self._dt = self.options.dt
         self.max_step = min(self.max_step, self._dt)
@@ -74,17 +78,23 @@ class TimeStepping(Integrator):
     def _prepare_steps(self) -> None:
         """Prepare time steps."""
         scene, model, work, state = self.scene, self.model, self.work, self.state
+        if state.warm_start is None:
+            state.warm_start = state.pushed = np.zeros(model.nv)
+        if self._prepared:
+            self._rest.restart()
+            self._faces.clear()
+            return
+        self._prepared = True
         self._touching = max(work.touching_gap, STEPS_TOUCH * self.extent)
         self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = STEPS_STILL * (work.resting_speed or 1.0)
-        self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
+        given = model, self.dynamics, scene.layout(), self._rest.joints, self._touching
+        self._faces = FacingShapes(*given)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
-        self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
+        self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._no_change = np.zeros(model.nv)
-        if state.warm_start is None:
-            state.warm_start = state.pushed = self._no_change
         # what closes by the laws of a step does so within its contact problem, as Moreau has it
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
@@ -485,11 +495,3 @@ def _widest(before: Integers) -> int:
     for parent in before.tolist():
         depth.append(1 + (depth[parent] if parent >= 0 else 0))
     return min(2 * max(depth), len(depth))
-
-
-def _has_constant_mass(model: pin.Model, data: pin.Data) -> bool:
-    """Return whether M is that of free bodies, the same everywhere: it is compared in two configurations."""
-    q = pin.neutral(model)
-    first = mass_matrix(model, data, q)
-    second = mass_matrix(model, data, pin.integrate(model, q, np.linspace(0.3, 1.1, model.nv)))
-    return bool(np.abs(second - first).max(initial=0.0) <= NOISE * np.abs(first).max(initial=0.0))
