@@ -4,6 +4,7 @@ import math
 import re
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -768,6 +769,49 @@ def test_no_restitution_is_the_limit_of_little(seed, friction):
     )
     # of the largest velocity; terms in e² are left
     assert none == pytest.approx(2.0 * less - more, abs=1e-5 * np.abs(u).max())
+
+
+def struck_while_it_stands(seed):
+    """W and v of a body that stands on corners, then of where another one strikes it, and a coefficient μ."""
+    rng = np.random.default_rng(seed)
+    bodies, corners = int(rng.integers(1, 3)), int(rng.integers(2, 5))
+    assert bodies == 2
+
+    def rows(arm):
+        return np.hstack([np.eye(3), -pin.skew(arm)])
+
+    jacobian = np.zeros((3 * corners + 3, 12))
+    for j in range(corners):
+        jacobian[3 * j : 3 * j + 3, :6] = rows(rng.normal(size=3) * (0.3, 0.3, 0.0) - (0.0, 0.0, 0.2))
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    jacobian[-3:, :6] = -axes @ rows(0.2 * rng.normal(size=3))
+    jacobian[-3:, 6:] = axes @ rows(0.2 * rng.normal(size=3))
+    masses = rng.uniform(0.3, 2.0, 2)
+    mass = np.concatenate([[m, m, m, *(m * rng.uniform(0.01, 0.05, 3))] for m in masses])
+    u = rng.normal(size=12)
+    u[:6] = 0.0
+    velocity = (jacobian @ u).reshape(-1, 3)
+    rng.normal(size=(corners, 3))
+    return (
+        (jacobian / mass) @ jacobian.T,
+        -np.sign(velocity[-1, 2]) * velocity,
+        rng.choice([0.2, 0.5, 0.8, 1.2]),
+    )
+
+
+@pytest.mark.parametrize("seed", [2746, 4547, 4897])
+def test_rounding_does_not_choose_how_corners_share_their_friction(seed):
+    """Corners that stand can hold in several ways; which one must not depend on 1e-16 m/s."""
+    delassus, velocity, friction = struck_while_it_stands(seed)
+    after = []
+    for noise in (None, 1, 2, 3):
+        nearly = velocity.copy()
+        if noise is not None:
+            nearly[:-1] = 1e-16 * np.random.default_rng(noise).normal(size=nearly[:-1].shape)
+        problem = ImpactProblem(delassus, nearly, friction, 0.0, law="energetic")
+        after.append(solve_impact(problem).velocity)
+    for one in after[1:]:
+        assert one == pytest.approx(after[0], abs=1e-7 * np.abs(velocity).max())
 
 
 def test_no_restitution_is_the_limit_of_little_after_hundreds_of_events():

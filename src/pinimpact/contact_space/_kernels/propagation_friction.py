@@ -32,6 +32,10 @@ ROOM = 0.95
 ROUNDS, SWEEPS = 50, 200
 """Of friction and what is held in turn, and of what is held."""
 
+NEARBY = 1e-6
+"""Part of the largest of W that keeps friction near that of the round before, if several solutions leave as
+little power: without it rounding decides between them, and the rounds do not converge."""
+
 
 @inlined
 def settle(system, state, series):
@@ -221,7 +225,7 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
     for i in range(3 * n):
         forces[i] = p[i]
     for _ in range(ROUNDS):
-        change = _hold_plane(system, state, forces)
+        change = _hold_plane(system, state, NEARBY if any_held else 0.0, forces)
         if not any_held:
             break
         change = max(change, _press_held(system, state, unit, cap, forces))
@@ -292,10 +296,11 @@ def _holding(system, state, forces):
 
 
 @inlined
-def _hold_plane(system, state, forces):
+def _hold_plane(system, state, near, forces):
     """Fill in the friction of contacts that do not slip, for known normal forces; return what it changes.
 
-    Of all within their bounds, those at which the least power is left. (14.3)
+    Of all within their bounds, those at which the least power is left, and where several leave as little,
+    those next to the ones given, in parts of their bounds, if `near` is not 0. (14.3)
     """
     w, friction = system.w, system.friction
     n = len(friction)
@@ -314,6 +319,8 @@ def _hold_plane(system, state, forces):
             before[2 * c + a] = forces[3 * at[c] + a]
             forces[3 * at[c] + a] = 0.0
     for c in range(count):
+        sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
+        stays = near / max(sides[3 * c], LITTLE) ** 2
         for a in range(2):
             row = 3 * at[c] + a
             for d in range(count):
@@ -322,9 +329,9 @@ def _hold_plane(system, state, forces):
             total = 0.0
             for i in range(3 * n):
                 total += w[row, i] * forces[i]
-            linear[2 * c + a] = total / (softest * strongest)
+            linear[2 * c + a] = total / (softest * strongest) - stays * before[2 * c + a] / strongest
+            program[2 * c + a, 2 * c + a] += stays
             cones[3 * c + 1 + a, 2 * c + a] = -1.0
-        sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
     x, s, z = np.empty(2 * count), np.empty(3 * count), np.empty(3 * count)
     cone_program(program, linear, cones, sides, np.int64(0), sizes, OPTIMAL, x, s, z)
     change = 0.0
