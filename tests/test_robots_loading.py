@@ -323,6 +323,14 @@ def test_the_last_gravity_of_mujoco_holds(tmp_path):
     assert pinimpact.load_robot(without).model.gravity.linear.tolist() == [0, 0, 0]
 
 
+def test_a_base_of_mujoco_that_has_joints_is_not_freed(tmp_path):
+    path = part_of_mujoco(tmp_path / "x.xml")
+    with pytest.raises(pinimpact.ModelError, match=r"free_flyer: the first body of .* has joints of its own"):
+        pinimpact.load_robot(path, free_flyer=True)
+    path.write_text(path.read_text().replace('<joint name="a" axis="0 1 .3" />', ""))
+    assert pinimpact.load_robot(path, free_flyer=True).model.nv == 6
+
+
 def test_trees_of_mujoco_beside_the_first_are_named(tmp_path):
     body = '<body name="{0}"><joint name="{0}"/>' + ROD + "</body>"
     path = tmp_path / "x.xml"

@@ -37,6 +37,12 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         raise ModelError(
             f"robot: {path} is not an MJCF file that Pinocchio can read: {_last_line(error)}", value=str(path)
         ) from error
+    if root_joint and model.joints[1].shortname() != "JointModelFreeFlyer":
+        raise ModelError(
+            f"free_flyer: the first body of {path} has joints of its own to the world, and Pinocchio adds no "
+            "other; give it a freejoint in the file",
+            value=True,
+        )
     for option in root.findall("option[@gravity]"):  # the last one holds
         model.gravity.linear = np.array([float(x) for x in option.get("gravity", "").split()])
     if root.find("option/flag[@gravity='disable']") is not None:
