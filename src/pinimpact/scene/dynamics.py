@@ -192,9 +192,11 @@ class SceneDynamics:
 
     # ---- what is closed
 
-    def fastest_approach(self, q: Array, v: Array, starting: bool, where: Integers, slow: Integers) -> Any:
+    def fastest_approach(
+        self, q: Array, v: Array, starting: bool, parting: float, where: Integers, slow: Integers
+    ) -> Any:
         """Return which contact or limit approaches the fastest, or −1, and its gap rate; see `approach`."""
-        source, rate = approach.fastest_approach(self.work, q, v, starting, where, slow)
+        source, rate = approach.fastest_approach(self.work, q, v, starting, parting, where, slow)
         self.check()
         return source, rate
 

@@ -111,6 +111,7 @@ class Instant:
         self.rims = Rims(model, data, self.dynamics, state)
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
+        self._hit = np.zeros(len(self.names), dtype=bool)  # at this instant
         self.crowds_refused = False
         self.record = Recorder(model, data, ModeIntervals(model, contact_names, limit_names))
         if starts:
@@ -152,10 +153,13 @@ class Instant:
             where[arriving] = ARRIVING
         if self.shapes:
             self.shapes.refresh(self.state.q)
+        self._hit[:] = False
         resolved: list[dict[str, Any]] = []
         jams = 0
         while True:
-            i, rate = self.dynamics.fastest_approach(self.state.q, self.state.v, starting, where, slow)
+            q, v = self.state.q, self.state.v
+            parting = max(self.error(v), work.resting_speed)
+            i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
             self.rims.check(where)
             if self.crowds_refused and not resolved:
                 self._refuse_crowd()
@@ -195,6 +199,7 @@ class Instant:
             touching: The distance [m].
             slowest: The speed [m/s].
         """
+        self._hit[:] = False
         resolved: list[dict[str, Any]] = []
         while self.names:
             near, i, rate = self.approach(self.state.q, self.state.v, touching)
@@ -288,12 +293,14 @@ class Instant:
         Raises:
             SimulationError: It still approaches after the limit.
         """
+        self._hit[i] = True
         touching = self._closed(self._where != APART)
-        beyond = len(before) - MOST_IMPACTS * len(touching)
+        every = self._closed(self._hit | (self._where != APART))
+        beyond = len(before) - MOST_IMPACTS * len(every)
         if beyond < 0:
             return self._collide_together(i, touching) or [self._collide(i, approach)]
-        impact = self._impacts.resolve_group(self.state.q, self.state.v, i, touching, limit=True)
-        if impact is None or not impact.struck or beyond > len(touching):
+        impact = self._impacts.resolve_group(self.state.q, self.state.v, i, every, limit=True)
+        if impact is None or not impact.struck or beyond > len(every):
             raise IrregularMotionError(
                 f"scene: {len(before)} impacts at t = {self.state.t:.6g} s do not end, the last at "
                 f'{_last(before)}; use simultaneous="propagate"'

@@ -18,9 +18,9 @@ TOUCHES, PRESSED, SLIDES = 1, 2, 3
 slips, however slowly."""
 
 
-@declared(SceneWorkspace, FLOATS, FLOATS, bool, INTEGERS, INTEGERS)
+@declared(SceneWorkspace, FLOATS, FLOATS, bool, float, INTEGERS, INTEGERS)
 @jit
-def fastest_approach(work, q, v, starting, where, slow):
+def fastest_approach(work, q, v, starting, parting, where, slow):
     """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].
 
     What approaches arrives with what arrives if it is as near, to the tolerance and the constraint drift: no
@@ -30,6 +30,7 @@ def fastest_approach(work, q, v, starting, where, slow):
         q: (nq,) configuration.
         v: (nv,) velocity.
         starting: Whether the motion starts now, so that what touches has just closed its gap.
+        parting: Speed above which what touches is open: it takes no part in impacts of others [m/s].
         where: (n + nl,) `APART`, `TOUCHING`, `ARRIVING` or `STRUCK`; what is near is added.
         slow: (n + nl,) takes `TOUCHES` or `PRESSED` for what touches and approaches or parts no faster than
             the resting speed.
@@ -51,7 +52,9 @@ def fastest_approach(work, q, v, starting, where, slow):
         if i < contacts and bilateral[i] != 0:
             slow[i] = PRESSED
             continue
-        if where[i] == APART and (gap <= near or modes[i] != FREE):
+        if rate > parting:
+            where[i] = APART
+        elif where[i] == APART and (gap <= near or modes[i] != FREE):
             where[i] = ARRIVING if starting and gap <= near else TOUCHING
         if where[i] == APART and gap <= together and rate < -work.least_approach:
             where[i] = ARRIVING
