@@ -9,10 +9,10 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..errors import InputError
-from ..geometry._kernels.constants import PLANE, TIP_PLANE
+from ..geometry._kernels.constants import PLANE, SPHERE, TIP_PLANE
 from ..geometry.convex_pair import Touch
 from ..geometry.convex_shape import PlacedShape
-from ..geometry.tolerances import COINCIDE
+from ..geometry.tolerances import COINCIDE, FACE
 from ._kernels import configuration_slopes as places
 from .contact import Contact
 from .placed_robot import PlacedRobot
@@ -39,6 +39,13 @@ class Corner(NamedTuple):
         n = self.normal
         return self.point + self.pair.a.shape.radius * n, self.other - self.pair.b.shape.radius * n
 
+    @property
+    def _unknown(self) -> InputError:
+        return InputError(
+            f"sensitivities: how the contact point of {self.pair.contact.label!r} moves over an edge or a "
+            "corner is not known in time steps; with the ball as the robot's shape that on an edge is"
+        )
+
     def contact(self, data: pin.Data, basis: Contact) -> Contact:
         """Return it as a contact of a point on a plane, at the configuration of `data`.
 
@@ -51,7 +58,12 @@ class Corner(NamedTuple):
         return point_contact(self.pair, data, (), self.normal, touch, basis).instant
 
     def carried(self, data: pin.Data, basis: Contact) -> Contact:
-        """Return the contact of its features; on a face of the first shape its tip is on the second."""
+        """Return the contact of its features; on a face of the first shape its tip is on the second.
+
+        Raises `InputError` for a ball on a corner.
+        """
+        if self.kind == SPHERE and self.pair.b.shape.radius == 0.0:
+            raise self._unknown
         return feature_contact(self.pair, data, self.normal, self._cores, self.kind, self.edges, basis)
 
     def follow(self, data: pin.Data, columns: Array, shifts: Array) -> bool:
@@ -72,10 +84,7 @@ class Corner(NamedTuple):
         else:
             moved, turn, radius = _over_face(two, one, -n), np.cross(one.motions[1], n), -b.shape.radius
         if moved is None:
-            raise InputError(
-                f"sensitivities: how the contact point of {self.pair.contact.label!r} moves with the shapes "
-                "is not known here; a start nearby may do"
-            )
+            raise self._unknown
         shifts[:, :3] = moved - radius * turn
         shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)
         return any(s.at_vertex and o.edge is not None for s, o in ((one, two), (two, one)))
@@ -147,7 +156,12 @@ _NEAR = 1e3
 
 
 def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
-    """Return how a corner of A's face within the sides of B's moves, (nv, 3); B's point is its foot on B."""
+    """Return how a corner of A's face within the sides of B's moves, (nv, 3); B's point is its foot on B.
+
+    None where the normal is not that of a face of B, as with an edge on a ball, or the corner is on no edge.
+    """
+    if not len(b.placed.shape.faces) or (b.placed.normals @ normal).max() <= FACE:
+        return None
     moved = a.moves(a.point)
     if a.at_vertex:
         return moved

@@ -197,17 +197,7 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
 
 
 @declared(
-    FLOATS,
-    FLOATS,
-    FLOATS,
-    FLOATS,
-    float,
-    FLOATS,
-    FLOAT_ROWS,
-    FLOAT_ROWS,
-    FLOATS,
-    INTEGERS,
-    FLOAT_ROWS,
+    *(FLOATS, FLOATS, FLOATS, FLOATS, float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS),
     result=int,
 )
 @jit
@@ -232,48 +222,13 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds,
     )
     if kind < 6 or max(abs(cosine_a), abs(cosine_b)) >= FACE:
         up_a, up_b = (-1.0 if cosine_a > 0.0 else 1.0), (1.0 if cosine_b > 0.0 else -1.0)
+        one, two = (a, half_a, axis_a, up_a), (b, half_b, axis_b, up_b)
         if of_a:
-            count = face_patch(
-                *(
-                    b,
-                    half_b,
-                    axis_b,
-                    up_b,
-                    a,
-                    half_a,
-                    axis_a,
-                    up_a,
-                    within,
-                    normal,
-                    others,
-                    points,
-                    gaps,
-                    kinds,
-                ),
-                TIP_PLANE,
-            )
+            count = face_patch(*two, *one, within, normal, others, points, gaps, kinds, TIP_PLANE)
             for e in range(3):
                 normal[e] = -normal[e]
         else:
-            count = face_patch(
-                *(
-                    a,
-                    half_a,
-                    axis_a,
-                    up_a,
-                    b,
-                    half_b,
-                    axis_b,
-                    up_b,
-                    within,
-                    normal,
-                    points,
-                    others,
-                    gaps,
-                    kinds,
-                ),
-                PLANE,
-            )
+            count = face_patch(*one, *two, within, normal, points, others, gaps, kinds, PLANE)
         if count >= 0:
             return count
         if value <= 0.0:
