@@ -675,29 +675,6 @@ def test_an_approach_that_nothing_can_stop():
         solve_impact(ImpactProblem(w, [[0, 0, -1.0], [0, 0, -2.0]], 0.0, 0.5, "energetic"))
 
 
-def test_what_is_stopped_badly_is_no_approach_that_nothing_stops(monkeypatch):
-    """W of 3e-4 to 7e3 kg⁻¹ and of full rank, but for the first contact that is there twice."""
-    monkeypatch.setattr("pinimpact.contact_space.waves._propagate_in_steps", lambda *_: None)  # takes seconds
-    factor = np.zeros((9, 9))
-    factor[np.tril_indices(9)] = [
-        *(27.9912, -56.3545, 1.7372, -22.8774, 2.8107, 2.4676, -13.3016, 1.2125, 0.7073, 0.3361, -21.9266),
-        *(0.5826, 0.2962, -0.1268, 0.31, -36.5988, 2.9176, 2.3704, -0.0294, 0.5592, 0.2655, -2.0234, -0.5257),
-        *(-0.7903, -0.0032, 0.2007, 0.0434, 0.1689, 13.2234, -0.1078, 0.5989, 0.0184, -0.3531, -0.0847),
-        *(0.0236, 0.0731, 10.2746, -1.3957, -1.2592, 0.0007, 0.0897, -0.1169, -0.1168, -0.0271, 0.0334),
-    ]
-    rows = np.vstack([factor, factor[:3]])
-    first = (2.1625, -2.5313, -4.1792)
-    velocity = np.array([first, (0.556, -2.5116, -2.9978), (3.175, -3.1167, 0.424), first])
-    mu, e, stiffness = (0.3, 0.6, 1.0, 0.3), (0.0, 0.6, 1.0, 0.0), (0.11, 1.37, 0.88, 0.11)
-    problem = ImpactProblem(rows @ rows.T, velocity, mu, e, law="energetic", stiffness=stiffness)
-    with pytest.warns(pinimpact.BoundReachedWarning):
-        solution = solve_impact(problem)
-    assert solution.velocity[:, 2].min() > -1e-6
-    assert any("taken as plastic" in note for note in solution.notes)
-    tangential = np.linalg.norm(solution.impulse[:, :2], axis=1)
-    assert (tangential <= np.multiply(mu, solution.impulse[:, 2]) * (1.0 + 1e-9)).all()
-
-
 def test_passes_that_say_nothing_are_no_answer():
     # contact 0 cannot be stopped; a pass by steps leaves half of its approach
     rows = np.array([[-2, 1], [0, -2], [-1, 1], [0, -1], [-1, -2], [1, 1]], dtype=float)

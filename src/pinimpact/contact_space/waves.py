@@ -15,7 +15,7 @@ from ..errors import InputError
 from ._kernels.tolerances import AGREE, FINEST, MISSED, STEP_ACCURACY
 from .at_once import solve_together
 from .inputs import Array
-from .many_inputs import ManyInputs, notes_on_law, solution_of
+from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
 from .many_solution import ManyPath, ManySolution, segments_of
 from .methods import checked_rtol
 from .problem import ZERO
@@ -78,7 +78,9 @@ def propagate_waves(
 
 def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
     """Stop all approaches, and restore nothing."""
-    plastic, _ = solve_together(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
+    plastic, off = solve_together(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
+    if off > MISSED:  # an approach that only impulses beyond their cones stop
+        refuse(inputs)
     text = "The propagation was not resolved to the usual accuracy; the impact is taken as plastic."
     return replace(
         plastic,
