@@ -14,20 +14,8 @@ import math
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
+from ...geometry._kernels import constants as layout
 from ...geometry._kernels import surfaces
-from ...geometry._kernels.constants import (
-    AXES,
-    EDGE,
-    KIND,
-    LINE_AXIS,
-    POINT,
-    RADIUS,
-    RIM,
-    RIM_AXIS,
-    SIZE,
-    TIP,
-    TIP_PLANE,
-)
 from .contact_kinematics import (
     carried_axes,
     carried_spin,
@@ -51,15 +39,17 @@ def gap_and_rate(R, V, S, U, k):
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
-    t1, t2, t3 = k[TIP], k[TIP + 1], k[TIP + 2]
-    if k[RIM] > 0.0 or k[KIND] >= EDGE:
+    t1, t2, t3 = k[layout.TIP], k[layout.TIP + 1], k[layout.TIP + 2]
+    if k[layout.RIM] > 0.0 or k[layout.KIND] >= layout.EDGE:
         t1, t2, t3 = rotate_back(R, c1 - R[9], c2 - R[10], c3 - R[11])
     a1, a2, a3 = cross(V[3], V[4], V[5], t1, t2, t3)
     a1, a2, a3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
     a1, a2, a3 = rotate_back(S, a1, a2, a3)
-    b1, b2, b3 = cross(U[3], U[4], U[5], x1 + k[POINT], x2 + k[POINT + 1], x3 + k[POINT + 2])
+    b1, b2, b3 = cross(
+        U[3], U[4], U[5], x1 + k[layout.POINT], x2 + k[layout.POINT + 1], x3 + k[layout.POINT + 2]
+    )
     rate = n1 * (a1 - U[0] - b1) + n2 * (a2 - U[1] - b2) + n3 * (a3 - U[2] - b3)
-    return d - k[RADIUS], rate
+    return d - k[layout.RADIUS], rate
 
 
 @inlined
@@ -77,7 +67,7 @@ def bounds(J, signs, group, R, k, peak, h, reach):
     its start.
     """
     n = len(signs)
-    c1, c2, c3 = place(R, k, TIP)
+    c1, c2, c3 = place(R, k, layout.TIP)
     all_v = all_a = all_d = 0.0
     carried = False
     for j in range(n):
@@ -135,20 +125,20 @@ def rim_and_rates(R, V, S, U, k, out):
     These are the height of its centre and its rate, and u × n and its rate (3 + 3), in the axes of the
     plane's carrier: the gap is the height less the rim's radius times |u × n|.
     """
-    x1, x2, x3 = place(R, k, TIP)
+    x1, x2, x3 = place(R, k, layout.TIP)
     x1, x2, x3 = rotate_back(S, x1 - S[9], x2 - S[10], x3 - S[11])
-    n1, n2, n3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
-    d = n1 * (x1 - k[POINT]) + n2 * (x2 - k[POINT + 1]) + n3 * (x3 - k[POINT + 2])
-    a1, a2, a3 = cross(V[3], V[4], V[5], k[TIP], k[TIP + 1], k[TIP + 2])
+    n1, n2, n3 = k[layout.AXES + 6], k[layout.AXES + 7], k[layout.AXES + 8]
+    d = n1 * (x1 - k[layout.POINT]) + n2 * (x2 - k[layout.POINT + 1]) + n3 * (x3 - k[layout.POINT + 2])
+    a1, a2, a3 = cross(V[3], V[4], V[5], k[layout.TIP], k[layout.TIP + 1], k[layout.TIP + 2])
     a1, a2, a3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
     a1, a2, a3 = rotate_back(S, a1, a2, a3)
     b1, b2, b3 = cross(U[3], U[4], U[5], x1, x2, x3)
-    out[0] = d - k[RADIUS]
+    out[0] = d - k[layout.RADIUS]
     out[1] = n1 * (a1 - U[0] - b1) + n2 * (a2 - U[1] - b2) + n3 * (a3 - U[2] - b3)
-    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
     u1, u2, u3 = rotate_back(S, u1, u2, u3)
     out[2], out[3], out[4] = cross(u1, u2, u3, n1, n2, n3)
-    a1, a2, a3 = cross(V[3], V[4], V[5], k[RIM_AXIS], k[RIM_AXIS + 1], k[RIM_AXIS + 2])
+    a1, a2, a3 = cross(V[3], V[4], V[5], k[layout.RIM_AXIS], k[layout.RIM_AXIS + 1], k[layout.RIM_AXIS + 2])
     a1, a2, a3 = rotate(R, a1, a2, a3)
     a1, a2, a3 = rotate_back(S, a1, a2, a3)
     b1, b2, b3 = cross(U[3], U[4], U[5], u1, u2, u3)
@@ -163,7 +153,7 @@ def turning_bound(J, signs, R, k, peak, h):
     rotation may be the inner one.
     """
     n = len(signs)
-    x1, x2, x3 = direction(R, k, RIM_AXIS)
+    x1, x2, x3 = direction(R, k, layout.RIM_AXIS)
     turning = way = size = 0.0
     for j in range(n):
         if signs[j] != 0.0:
@@ -178,7 +168,7 @@ def turning_bound(J, signs, R, k, peak, h):
                 speed += lever * peak[0, j]
                 size += lever * (peak[1, j] + 2.0 * peak[0, j] * turning)
         way = h * speed
-    return k[RIM] * size
+    return k[layout.RIM] * size
 
 
 @declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
@@ -195,14 +185,14 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
     n1, n2, n3 = rotate(S, l1, l2, l3)
-    p1, p2, p3 = c1 - k[RADIUS] * n1, c2 - k[RADIUS] * n2, c3 - k[RADIUS] * n3
+    p1, p2, p3 = c1 - k[layout.RADIUS] * n1, c2 - k[layout.RADIUS] * n2, c3 - k[layout.RADIUS] * n3
     w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
     at = c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3
     m1, m2, m3, _, _, _, dp1, dp2, dp3 = rates_at_contact(R, V, S, U, k, at)
     s1, s2, s3 = carried_spin(k, l1, l2, l3, m1, m2, m3)
     s1, s2, s3 = rotate(S, s1, s2, s3)
     s1, s2, s3 = U[3] + s1, U[4] + s2, U[5] + s3
-    o1, o2, o3 = place(S, k, POINT)
+    o1, o2, o3 = place(S, k, layout.POINT)
     a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
     dy1, dy2, dy3 = dp1 - U[0] - a1, dp2 - U[1] - a2, dp3 - U[2] - a3
     # relative velocity of the bodies' material at p, and its rate
@@ -233,7 +223,7 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, e1, e2, e3, turning)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
     fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
-    return d - k[RADIUS]
+    return d - k[layout.RADIUS]
 
 
 @inlined
@@ -245,19 +235,19 @@ def rates_at_contact(R, V, S, U, k, at):
     in the world's (12), see `relative`.
     """
     c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3 = at
-    r = k[RADIUS]
+    r = k[layout.RADIUS]
     w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
-    if k[KIND] == TIP_PLANE:
+    if k[layout.KIND] == layout.TIP_PLANE:
         l1, l2, l3 = cross(w1, w2, w3, n1, n2, n3)
         l1, l2, l3 = rotate_back(S, l1, l2, l3)
         m1, m2, m3 = cross(V[3], V[4], V[5], n1, n2, n3)
-        r = k[SIZE]
+        r = k[layout.SIZE]
         a1, a2, a3 = cross(U[3], U[4], U[5], c1 - r * n1, c2 - r * n2, c3 - r * n3)
         return l1, l2, l3, m1, m2, m3, U[0] + a1 + r * m1, U[1] + a2 + r * m2, U[2] + a3 + r * m3
     a1, a2, a3 = cross(w1, w2, w3, c1, c2, c3)
     a1, a2, a3 = rotate_back(S, V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3)
     along = 0.0
-    if k[KIND] == EDGE:
+    if k[layout.KIND] == layout.EDGE:
         l1, l2, l3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
     else:
         l1, l2, l3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
@@ -267,11 +257,11 @@ def rates_at_contact(R, V, S, U, k, at):
     m1, m2, m3 = m1 + a1, m2 + a2, m3 + a3
     a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
     p1, p2, p3 = V[0] + a1 - r * m1, V[1] + a2 - r * m2, V[2] + a3 - r * m3
-    if k[RIM] > 0.0:
+    if k[layout.RIM] > 0.0:
         a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
         p1, p2, p3 = p1 + a1, p2 + a2, p3 + a3
-    if k[KIND] == EDGE:
-        a1, a2, a3 = direction(R, k, RIM_AXIS)
+    if k[layout.KIND] == layout.EDGE:
+        a1, a2, a3 = direction(R, k, layout.RIM_AXIS)
         p1, p2, p3 = p1 + along * a1, p2 + along * a2, p3 + along * a3
     return l1, l2, l3, m1, m2, m3, p1, p2, p3
 
@@ -287,7 +277,7 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
     surface's carrier, and against it.
     """
     u1, u2, u3 = edge_axis(R, S, k)
-    e1, e2, e3 = k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2]
+    e1, e2, e3 = k[layout.LINE_AXIS], k[layout.LINE_AXIS + 1], k[layout.LINE_AXIS + 2]
     a1, a2, a3 = rotate_back(S, w1, w2, w3)
     a1, a2, a3 = cross(a1, a2, a3, u1, u2, u3)
     m1, m2, m3 = cross(a1, a2, a3, e1, e2, e3)
@@ -308,13 +298,13 @@ def _along_rim(R, V, k, n1, n2, n3, m1, m2, m3):
     Relative to the material, u is at rest and n turns at ṅ − ω × n, which moves the lowest point along t = u
     × e, with e = n_u/|n_u| of `towards_plane`. All in world axes.
     """
-    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
     w1, w2, w3 = cross(u1, u2, u3, n1, n2, n3)
     s = w1 * w1 + w2 * w2 + w3 * w3
     if s == 0.0:
         return 0.0, 0.0, 0.0
     a1, a2, a3 = cross(V[3], V[4], V[5], n1, n2, n3)  # t = u × n/|u × n|, and |n_u| is |u × n| too
-    f = -k[RIM] / s**1.5 * (w1 * (m1 - a1) + w2 * (m2 - a2) + w3 * (m3 - a3))
+    f = -k[layout.RIM] / s**1.5 * (w1 * (m1 - a1) + w2 * (m2 - a2) + w3 * (m3 - a3))
     return f * w1, f * w2, f * w3
 
 
