@@ -12,6 +12,7 @@ import numpy as np
 
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Bools, Integers
+from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
 from .convex_shape import PlacedShape, cross
 from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, TIE
 
@@ -36,6 +37,24 @@ class Touch(NamedTuple):
         """The same, with A and B exchanged."""
         first, second = self.kind.split("-")
         return Touch(f"{second}-{first}", self.other, self.point, self.features[::-1])
+
+    def edges(self, a: PlacedShape, b: PlacedShape) -> Array:
+        """Return the directions (2, 3) of the edges of the two that meet, zero where a feature is none."""
+        found = np.zeros((2, 3))
+        for k, (shape, feature) in enumerate(zip((a, b), self.kind.split("-"), strict=True)):
+            if feature == "edge":
+                found[k] = shape.edge(self.features[k])
+        return found
+
+
+CODES = {
+    "vertex-face": PLANE,
+    "face-vertex": TIP_PLANE,
+    "edge-edge": EDGE,
+    "vertex-edge": LINE,
+    "vertex-vertex": SPHERE,
+}
+"""Codes of kinds of `Touch`; `TIP_PLANE` with a face of A."""
 
 
 def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:

@@ -14,7 +14,7 @@ import numpy as np
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Bools, Integers
 from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
-from .convex_pair import gap, touches
+from .convex_pair import CODES, gap, touches
 from .convex_shape import PlacedShape, cross
 from .tolerances import COINCIDE, FACE, NEAREST, TIE
 
@@ -59,10 +59,11 @@ def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
         found_points = touches(a, b, normal, NEAREST * size + abs(found.value))
         near = [[touch.point, touch.other] for touch in found_points]
         if len(found_points) == 1:
-            name, (_, of_b) = found_points[0].kind, found_points[0].features
-            kind = {"vertex-vertex": SPHERE, "vertex-edge": LINE}.get(name, PLANE)
-            if kind == LINE:
-                edges[1] = b.edge(of_b) / np.linalg.norm(b.edge(of_b))
+            code = CODES.get(found_points[0].kind, PLANE)
+            if code == LINE:
+                edges = found_points[0].edges(a, b)
+                edges[1] /= np.linalg.norm(edges[1])
+            kind = code if code in (LINE, SPHERE) else PLANE
     if not near:
         return None
     points = np.array([point for point, _ in near]) - a.shape.radius * normal

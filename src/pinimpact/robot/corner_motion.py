@@ -10,13 +10,13 @@ import pinocchio as pin
 from ..arrays import Array
 from ..errors import InputError
 from ..geometry._kernels.constants import PLANE, SPHERE, TIP_PLANE
-from ..geometry.convex_pair import Touch
+from ..geometry.convex_pair import CODES, Touch
 from ..geometry.convex_shape import PlacedShape
 from ..geometry.tolerances import COINCIDE, FACE
 from ._kernels import configuration_slopes as places
 from .contact import Contact
 from .placed_robot import PlacedRobot
-from .shape_pair import CODES, ShapePair, closest_points, feature_contact, point_contact
+from .shape_pair import ShapePair, closest_points, feature_contact, point_contact
 
 
 class Corner(NamedTuple):
@@ -100,13 +100,10 @@ def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> li
     for touch, instant, lasting, _ in (place[0] for place in places if len(place) == 1):
         if lasting is None or touch.kind not in CODES:
             continue
-        n, edges = placed.geometry(instant).axes[2], np.zeros((2, 3))
+        n = placed.geometry(instant).axes[2]
         ends = touch.point - pair.a.shape.radius * n, touch.other + pair.b.shape.radius * n
-        sides = zip(pair.placed(data), touch.kind.split("-"), touch.features, strict=True)
-        for k, (side, feature, number) in enumerate(sides):
-            if feature == "edge":
-                edges[k] = side.edge(number)
-        found.append((Corner(pair, n, *ends, CODES[touch.kind], edges), instant))
+        features = CODES[touch.kind], touch.edges(*pair.placed(data))
+        found.append((Corner(pair, n, *ends, *features), instant))
     return found
 
 

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from .._numeric.tolerances import EXACT
 from ..arrays import Array
 from ..errors import ModelError
 
@@ -164,7 +165,7 @@ def _differences(model: pin.Model, path: Path) -> list[str]:
     }
     different = []
     for name, (ours, other) in compared.items():
-        much = SAME * np.abs(other[np.isfinite(other)]).max(initial=1e-9)
+        much = max(SAME * np.abs(other[np.isfinite(other)]).max(initial=0.0), EXACT)
         if not np.allclose(ours, other, rtol=0.0, atol=much, equal_nan=True):
             different.append(name)
     return different

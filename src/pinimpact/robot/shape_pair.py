@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array
 from ..errors import InputError
-from ..geometry._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
-from ..geometry.convex_pair import Touch, at_one_place, gap, touches
+from ..geometry._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
+from ..geometry.convex_pair import CODES, Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
 from ..geometry.plane import Plane
@@ -132,30 +132,19 @@ def point_contact(
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     instant = one.tip(touch.point, other.plane(touch.other, normal))
-    swapped, kind = False, touch.kind
-    if kind in ("face-vertex", "edge-vertex") or (kind == "vertex-vertex" and not other.radius > 0.0):
-        swapped, one, other, (kind, p, q, features) = True, other, one, touch.mirrored
+    swapped, seen = False, touch
+    if touch.kind in ("face-vertex", "edge-vertex") or (
+        touch.kind == "vertex-vertex" and not other.radius > 0.0
+    ):
+        swapped, one, other, seen = True, other, one, touch.mirrored
         normal, placed = -normal, placed[::-1]
-    else:
-        _, p, q, features = touch
+    kind, p, q, _ = seen
     if kind == "vertex-face" and not swapped:
         return PointContact(touch, instant, instant, False)
     if kind not in ("vertex-face", "edge-edge") and one.radius + other.radius == 0.0:
         return PointContact(touch, instant, None, False)
-    along = [
-        placed[k].edge(features[k]) if name == "edge" else normal for k, name in enumerate(kind.split("-"))
-    ]
-    return PointContact(touch, instant, _of_features(CODES[kind], one, other, (p, q), normal, along), swapped)
-
-
-CODES = {
-    "vertex-face": PLANE,
-    "face-vertex": TIP_PLANE,
-    "edge-edge": EDGE,
-    "vertex-edge": LINE,
-    "vertex-vertex": SPHERE,
-}
-"""Codes of the kinds of features that meet; `TIP_PLANE` with a face of A."""
+    lasting = _of_features(CODES[kind], one, other, (p, q), normal, seen.edges(*placed))
+    return PointContact(touch, instant, lasting, swapped)
 
 
 def feature_contact(
@@ -174,12 +163,12 @@ def feature_contact(
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     if kind == TIP_PLANE:
-        return _of_features(PLANE, other, one, cores[::-1], -normal, list(edges))
-    return _of_features(kind, one, other, cores, normal, list(edges))
+        return _of_features(PLANE, other, one, cores[::-1], -normal, edges)
+    return _of_features(kind, one, other, cores, normal, edges)
 
 
 def _of_features(
-    kind: int, one: _Side, other: _Side, cores: tuple[Array, Array], normal: Array, edges: Sequence[Array]
+    kind: int, one: _Side, other: _Side, cores: tuple[Array, Array], normal: Array, edges: Array
 ) -> Contact:
     """Return the contact of a point or an edge of one side with a face, edge or point of the other."""
     p, q = cores

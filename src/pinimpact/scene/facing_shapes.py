@@ -104,15 +104,19 @@ class FacingShapes:
 
     def clear(self) -> None:
         """Let no contact stand for a point."""
-        for i, blank in self._struck.items():
-            self._dynamics.contacts[i] = blank
-        self._struck.clear()
+        self._end_impact()
         self._work.contact_constants[self._kept] = self._blanks[self._kept]
         self._work.contact_joints[self._kept] = self._ends
         self.idle[self._kept] = True
         self._facing.used[:] = 0
         for places in self._pairs:
             places.used = 0
+
+    def _end_impact(self) -> None:
+        """Take back what `_strike` has made of contacts."""
+        for i, blank in self._struck.items():
+            self._dynamics.contacts[i] = blank
+        self._struck.clear()
 
     def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
         """Fill the places of pairs that may touch within a time.
@@ -123,9 +127,7 @@ class FacingShapes:
             h: The time [s].
             touching: For impacts, the gap up to which shapes touch [m]; `dynamics.contacts` is filled too.
         """
-        for i, blank in self._struck.items():
-            self._dynamics.contacts[i] = blank
-        self._struck.clear()
+        self._end_impact()
         near = self._near + 8.0 * self._gravity * h * h
         if self.boxes:
             face_boxes(

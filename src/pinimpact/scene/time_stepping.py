@@ -25,13 +25,7 @@ from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
-from ._kernels.tolerances import (
-    STEPS_SHORTEST,
-    STEPS_SLACK,
-    STEPS_STILL,
-    STEPS_TOGETHER,
-    STEPS_TOUCH,
-)
+from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -90,8 +84,7 @@ class TimeStepping(Integrator):
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = STEPS_STILL * (work.resting_speed or 1.0)
-        given = model, self.dynamics, scene.layout(), self._rest.joints, self._touching
-        self._faces = FacingShapes(*given)
+        self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._no_change = np.zeros(model.nv)
