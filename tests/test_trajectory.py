@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import pickle
 
@@ -78,24 +77,13 @@ def test_times_off_the_ends_by_rounding_are_the_ends(trajectory) -> None:
     assert trajectory.mode_at("ball", end) == trajectory.mode_at("ball", 1.0)
 
 
-def test_names_are_saved_and_files_without_them_are_read(trajectory, tmp_path) -> None:
+def test_names_are_saved(trajectory, tmp_path) -> None:
     path = tmp_path / "ball.npz"
     trajectory.save(path)
     again = Trajectory.load(path)
     assert again.sources == trajectory.sources == ("ball", "cellar", "body")
     with pytest.raises(pinimpact.UnknownNameError, match="'bal'"):
         again.mode_at("bal", 0.5)
-    with np.load(path) as file:
-        arrays = dict(file)
-    meta = json.loads(str(arrays["meta"]))
-    del meta["sources"]
-    np.savez(path, **arrays | {"meta": np.array(json.dumps(meta))})
-    old = Trajectory.load(path)
-    assert old.sources is None
-    assert old.mode_at("ball", 1.0) == "stick"
-    assert old.mode_at("anything", 0.5) == "free"
-    old.save(path)
-    assert Trajectory.load(path).sources is None
 
 
 def same(a: Trajectory, b: Trajectory) -> None:

@@ -38,10 +38,8 @@ def impact_columns(rows: Sequence[ImpactRecord], velocities: tuple[str, ...]) ->
 
 def mode_columns(rows: Sequence[ModeInterval]) -> dict[str, NDArray[Any]]:
     """Return the columns of modes."""
-    texts = {name: np.array([getattr(m, name) for m in rows], dtype=object) for name in ("source", "mode")}
-    return texts | {
-        name: np.array([getattr(m, name) for m in rows], dtype=float) for name in ("start", "end")
-    }
+    kinds = {"source": object, "mode": object, "start": float, "end": float}
+    return {name: np.array([getattr(m, name) for m in rows], dtype=kind) for name, kind in kinds.items()}
 
 
 def modes_at(modes: Sequence[ModeInterval], source: str, t: Array, before: Bools) -> NDArray[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ._kernels import active_set, force_evaluation
 from ._kernels.contact_forces import SLIP
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import DenseStep
+from .dynamics import SceneDynamics
 
 FORCE_SAMPLES = 7
 """Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""
@@ -77,11 +78,6 @@ class ClosedSet(NamedTuple):
             work.contact_joints.take(index, axis=0),
             swapped,
         )
-
-
-def directions_within(work: SceneWorkspace) -> Array:
-    """Return the directions of slip (2, k, 2) of what is closed, at both ends of the step last completed."""
-    return np.array([work.start_directions, work.end_directions])
 
 
 class Forces(NamedTuple):
@@ -155,19 +151,7 @@ class ForceSource(Protocol):
         """Return the forces at a time within the step of this number; None where nothing is closed."""
 
 
-class Dynamics(Protocol):
-    """The part of `SceneDynamics` that forces need."""
-
-    work: SceneWorkspace
-
-    def make_room(self, closing: Integers) -> None:
-        """Make room for contacts (n,) that are closed, where not zero."""
-
-    def check(self) -> None:
-        """Raise what went wrong in a call from a kernel."""
-
-
-def set_closed(dynamics: Dynamics, closed: ClosedSet) -> None:
+def set_closed(dynamics: SceneDynamics, closed: ClosedSet) -> None:
     """Let dynamics have the modes of what was closed."""
     work = dynamics.work
     dynamics.make_room(closed.modes[: work.contacts])
@@ -185,12 +169,12 @@ class EvaluatedForces:
         contacts: Names of the contacts.
     """
 
-    def __init__(self, dynamics: Callable[[], Dynamics], contacts: Sequence[str]) -> None:
+    def __init__(self, dynamics: Callable[[], SceneDynamics], contacts: Sequence[str]) -> None:
         self._make = dynamics
         self.contacts = contacts
 
     @cached_property
-    def _dynamics(self) -> Dynamics:
+    def _dynamics(self) -> SceneDynamics:
         return self._make()
 
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
@@ -206,7 +190,10 @@ class EvaluatedForces:
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
         if step.directions is not None:
-            directions[np.flatnonzero(closed.modes[: work.contacts])] = _between(step.directions, share)
+            between = (1.0 - share) * step.directions[0] + share * step.directions[1]
+            length = np.linalg.norm(between, axis=1, keepdims=True)
+            between = np.divide(between, length, out=between, where=length > 0.0)
+            directions[np.flatnonzero(closed.modes[: work.contacts])] = between
         n = work.contacts
         world, points, normals = np.zeros((3, n, 3))
         joints = np.zeros(work.nv)
@@ -219,36 +206,18 @@ class EvaluatedForces:
         return Forces(world, points, normals, joints, bool(unique))
 
 
-def _between(ends: Array, share: float) -> Array:
-    directions: Array = (1.0 - share) * ends[0] + share * ends[1]
-    length = np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.divide(directions, length, out=directions, where=length > 0.0)
-
-
 class TabulatedForces:
     """Forces that are interpolated between the Chebyshev nodes of each step.
 
     Args:
         contacts: Names of the contacts.
-        rows: (m,) numbers of the steps in which something is closed.
-        world, points, normals: (m, `FORCE_SAMPLES`, n, 3), see `Forces`.
-        joints: (m, `FORCE_SAMPLES`, nv).
-        unique: (m,).
+        tables: (m,) numbers of the steps in which something is closed; world, points and normals
+            (m, `FORCE_SAMPLES`, n, 3), joints (m, `FORCE_SAMPLES`, nv) and unique (m,), see `Forces`.
     """
 
-    def __init__(
-        self,
-        contacts: Sequence[str],
-        rows: Integers,
-        world: Array,
-        points: Array,
-        normals: Array,
-        joints: Array,
-        unique: Bools,
-    ) -> None:
-        self.contacts = list(contacts)
-        self.tables = rows, world, points, normals, joints, unique
-        self._row = {int(number): m for m, number in enumerate(rows)}
+    def __init__(self, contacts: Sequence[str], *tables: Any) -> None:
+        self.contacts, self.tables = list(contacts), tables
+        self._row = {int(number): m for m, number in enumerate(tables[0])}
 
     @classmethod
     def of(cls, source: ForceSource, steps: Sequence[DenseStep]) -> TabulatedForces:
@@ -292,16 +261,11 @@ class TabulatedForces:
         m = self._row.get(number)
         if m is None:
             return None
-        _, world, points, normals, joints, unique = self.tables
+        _, *sampled, unique = self.tables
         width = step.end - step.start
         weights = _weights((t - step.start) / width if width > 0.0 else 0.0)
-        return Forces(
-            np.tensordot(weights, world[m], 1),
-            np.tensordot(weights, points[m], 1),
-            np.tensordot(weights, normals[m], 1),
-            np.tensordot(weights, joints[m], 1),
-            bool(unique[m]),
-        )
+        world, points, normals, joints = (np.tensordot(weights, one[m], 1) for one in sampled)
+        return Forces(world, points, normals, joints, bool(unique[m]))
 
 
 def nodes() -> Array:

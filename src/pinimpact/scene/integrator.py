@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -21,10 +20,9 @@ from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
-from .dynamics import SceneDynamics
 from .event_watch import EventWatch, Interruption
 from .events import as_events
-from .forces import ClosedSet, EvaluatedForces, directions_within
+from .forces import ClosedSet, EvaluatedForces
 from .hybrid_state import HybridState
 from .instant import Arriving, Instant
 from .mode_intervals import drive_name
@@ -49,12 +47,6 @@ that comes after a long time without one is seen, unless it is over within some 
 
 BEYOND = 1.3
 """No step is taken beyond so many times a bounce that has just begun, or what is left of a slip."""
-
-
-def _dynamics_of(*made_of: Any) -> SceneDynamics:
-    """Return the dynamics of a motion of its own."""
-    scene, q0, v0, options = made_of
-    return Integrator(scene, q0, v0, options).dynamics
 
 
 def _continued(
@@ -103,11 +95,8 @@ class Integrator:
         self.data = layout.data_for(self, model)
         self.state = state_at(model, self.data, q0, v0) if state is None else state.kept(memory=None)
         self.instant = Instant(scene, model, self.data, self.state, state is None, self.options.dt)
-        self.record, self.shapes, self.dynamics = (
-            self.instant.record,
-            self.instant.shapes,
-            self.instant.dynamics,
-        )
+        self.record, self.dynamics = self.instant.record, self.instant.dynamics
+        self.shapes = self.instant.shapes
         work = self.work = self.dynamics.work
         work.rtol, work.atol = self.options.rtol, self.options.atol
         self.drift_tolerance = self.shapes.tolerance = max(work.touching_gap, work.atol)
@@ -220,7 +209,7 @@ class Integrator:
 
     def trajectory(self, termination: str, complete: bool) -> Trajectory:
         """Return the motion until now, as far as it is consistent."""
-        mark, state = self.reached
+        (mark, state), made_of = self.reached, self._made_of
         contacts = self.instant.names[: self.work.contacts]
         return self.record.trajectory(
             mark,
@@ -234,7 +223,7 @@ class Integrator:
                 "evaluations": self.work.evaluations,
             },
             sources=self.sources,
-            forces=EvaluatedForces(partial(_dynamics_of, *self._made_of), contacts),
+            forces=EvaluatedForces(lambda: Integrator(*made_of).dynamics, contacts),
             contacts=(*self.scene.contacts, *self.scene.held),
             coordinates=coordinate_names(self.model),
             stepped=state.stepped,
@@ -343,7 +332,7 @@ class Integrator:
                 continue
             if not self.instant.rims.jump(work.q0, work.q1):
                 slips = state.closed is not None and state.closed.slips
-                directions = directions_within(work) if slips else None
+                directions = np.array([work.start_directions, work.end_directions]) if slips else None
                 self.dynamics.finish(t, trial, error, method is step_dop853)
                 if work.event_time >= t:
                     return trial, natural, directions

@@ -62,13 +62,10 @@ class Trajectory:
         stepped: The intervals crossed by time steps, with `scheme="auto"`.
         switched_off: Effects switched off although they apply.
         statistics: Counts: "steps", "rejected", "evaluations".
-        sources: Names that impacts and modes can have: contacts, joint limits and joints. None if the
-            trajectory is from an older file without them.
-        contacts: The scene's contacts, then the held ones; empty if the trajectory is from an older file
-            without them. In a trajectory from a file or pickle, a contact whose restitution was a function
-            has 0; the value of each impact is in its problem.
-        coordinates: Names of the entries of q and of v, after those of the joints; numbers if the trajectory
-            is from an older file without them.
+        sources: Names that impacts and modes can have: contacts, joint limits and joints.
+        contacts: The scene's contacts, then the held ones. In a trajectory from a file or pickle, a contact
+            whose restitution was a function has 0; the value of each impact is in its problem.
+        coordinates: Names of the entries of q and of v, after those of the joints.
         joint_table: (k, 4) the robot's configuration space, see `joint_charts`.
         sensitivities: What `sensitivity` takes them from; None if `simulate` was not asked for any.
     """
@@ -87,10 +84,10 @@ class Trajectory:
         complete: bool,
         switched_off: Sequence[str],
         statistics: dict[str, int],
-        sources: Sequence[str] | None,
-        forces: ForceSource | None,
+        sources: Sequence[str],
+        forces: ForceSource,
         contacts: Sequence[Contact],
-        coordinates: tuple[Sequence[str], Sequence[str]] | None,
+        coordinates: tuple[Sequence[str], Sequence[str]],
         stepped: Sequence[SteppedInterval] = (),
     ) -> None:
         self._segments = tuple(segments)
@@ -103,18 +100,11 @@ class Trajectory:
         self.termination, self.complete = termination, complete
         self.switched_off = tuple(switched_off)
         self.statistics = dict(statistics)
-        self.sources = None if sources is None else tuple(sources)
-        self.contacts = tuple(contacts)
-        numbered = [list(map(str, range(x.shape[1]))) for x in (self.q, self.v)]
-        q_names, v_names = numbered if coordinates is None else coordinates
+        self.sources, self.contacts = tuple(sources), tuple(contacts)
+        q_names, v_names = coordinates
         self.coordinates = tuple(q_names), tuple(v_names)
         self._forces = forces
         self.sensitivities: SensitivitySource | None = None
-
-    @property
-    def has_forces(self) -> bool:
-        """Whether forces are available; not if the trajectory is from an older file without them."""
-        return self._forces is not None
 
     @property
     def duration(self) -> float:
@@ -204,7 +194,7 @@ class Trajectory:
 
         Raises:
             UnknownNameError: A contact that the scene does not have.
-            InputError: A time outside the trajectory, an unknown side, or an older file without forces.
+            InputError: A time outside the trajectory, or an unknown side.
         """
         return self._of_contact(contact, t, side, _in_axes)
 
@@ -245,9 +235,9 @@ class Trajectory:
 
     def _contact(self, name: str) -> int | None:
         """Return which of the forces are a contact's; None if it can never touch."""
-        if self._forces is not None and name in self._forces.contacts:
+        if name in self._forces.contacts:
             return self._forces.contacts.index(name)
-        if self.sources is None or name in self.sources:
+        if name in self.sources:
             return None
         raise UnknownNameError(
             f"contact: no contact is called {in_short(name)}; {near_matches(name, self.sources)}", value=name
@@ -265,15 +255,13 @@ class Trajectory:
 
     def _of_times(self, t: ArrayLike, side: str, part: Callable[[Forces | None], Array]) -> Array:
         """Return what a part of the forces is at one or at many times."""
-        source = self._forces
-        if source is None:
-            raise InputError("path: the file was written before forces were stored")
         _check_side(side)
         found = []
         times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
         for time in map(self._covered, times):
             number = self._number(time, side) if self._segments else None
-            found.append(part(None if number is None else source.at(number, self._segments[number], time)))
+            at = None if number is None else self._forces.at(number, self._segments[number], time)
+            found.append(part(at))
         return found[0] if np.ndim(t) == 0 else np.array(found)
 
     def mode_at(self, source: str, t: float) -> str:
@@ -288,10 +276,10 @@ class Trajectory:
 
         Raises:
             InputError: A time outside the trajectory.
-            UnknownNameError: A name that the scene does not have. Not raised if `sources` is None.
+            UnknownNameError: A name that the scene does not have.
         """
         t = self._covered(t)
-        if self.sources is not None and source not in self.sources:
+        if source not in self.sources:
             raise UnknownNameError(
                 f"source: no contact, joint limit or joint is called {in_short(source)}; "
                 f"{near_matches(source, self.sources)}",
@@ -353,7 +341,7 @@ class Trajectory:
         before = np.append(t[1:] == t[:-1], False)  # an impact, or the like, follows
         labels = [contact.label for contact in self.contacts]
         forces = np.zeros((len(t), len(labels), 3))
-        if self.has_forces and labels:
+        if labels:
             numbers = [self._contact(label) for label in labels]
 
             def in_axes(at: Forces | None) -> Array:
@@ -364,8 +352,7 @@ class Trajectory:
                     forces[chosen] = self._of_times(t[chosen], side, in_axes)
         for k, label in enumerate(labels):
             found[f"{label}.mode"] = modes_at(self.modes, label, t, before)
-            if self.has_forces:
-                found |= by_component(f"{label}.force", AXES, forces[:, k])
+            found |= by_component(f"{label}.force", AXES, forces[:, k])
         return found
 
     def save(self, path: str | Path) -> None:
@@ -388,7 +375,7 @@ class Trajectory:
             "segments": self._segments,
             "joints": self.joint_table,
             "samples": (self.t, self.q, self.v),
-            "forces": None if self._forces is None else TabulatedForces.of(self._forces, self._segments),
+            "forces": TabulatedForces.of(self._forces, self._segments),
             "contacts": tuple(
                 replace(contact, restitution=0.0) if callable(contact.restitution) else contact
                 for contact in self.contacts

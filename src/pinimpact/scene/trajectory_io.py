@@ -25,7 +25,7 @@ from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
 from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note, SteppedInterval
 
-FORMAT = 1
+FORMAT = 2
 
 SURFACES: dict[str, type[Surface]] = {"plane": Plane, "sphere": Sphere, "box": Box, "shape": Shape}
 """What a surface's `kind` stands for."""
@@ -50,13 +50,12 @@ def write_trajectory(path: str | Path, parts: Mapping[str, Any]) -> None:
         "notes": [[note.time, note.text] for note in parts["notes"]],
         "stepped": [[s.start, s.end, s.dt, s.reason, s.error] for s in parts["stepped"]],
         "modes": [[m.source, m.mode, m.start, m.end] for m in parts["modes"]],
-        "forces": None if forces is None else forces.contacts,
+        "forces": forces.contacts,
         "contacts": [_contact_fields(contact) for contact in parts["contacts"]],
         "events": [[event.time, event.name] for event in events],
         **_impacts_in_words(impacts),
     }
 
-    tables: dict[str, Any] = {} if forces is None else dict(zip(FORCE_TABLES, forces.tables, strict=True))
     with open(output_file("path", path), "wb") as file:
         np.savez_compressed(
             file,
@@ -73,7 +72,7 @@ def write_trajectory(path: str | Path, parts: Mapping[str, Any]) -> None:
             segment_dense=_stack([s.coefficients for s in segments], 7, 2 * nv + WORKS),
             event_q=_stack([event.q for event in events], nq),
             event_v=_stack([(event.v_before, event.v_after) for event in events], 2, nv),
-            **tables,
+            **dict(zip(FORCE_TABLES, forces.tables, strict=True)),
             **_impacts_in_numbers(impacts, nq, nv),
         )
 
@@ -121,16 +120,13 @@ def _stack(rows: Sequence[Any], *shape: int) -> Array:
 def read_trajectory(path: str | Path) -> dict[str, Any]:
     """Return what `write_trajectory` wrote, by the names of its arguments.
 
-    A file that was written before the names of sources, the forces, the scales of impacts' velocities or the
-    factors of their matrices were stored has None for them, and one before events or contacts were has none.
-
     Raises:
         InputError: A file that is missing, or is no trajectory.
     """
     arrays, meta = _opened(path)
     events = [
         EventRecord(time, name, arrays["event_q"][i], *arrays["event_v"][i])
-        for i, (time, name) in enumerate(meta.get("events", ()))
+        for i, (time, name) in enumerate(meta["events"])
     ]
     return {
         "segments": _segments(arrays),
@@ -140,13 +136,11 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "events": events,
         "modes": [ModeInterval(*row) for row in meta["modes"]],
         "energy": Energy(*arrays["energy"]),
-        "stepped": [SteppedInterval(*row) for row in meta.get("stepped", ())],
+        "stepped": [SteppedInterval(*row) for row in meta["stepped"]],
         "notes": [Note(*row) for row in meta["notes"]],
-        **{name: meta.get(name) for name in PLAIN},
-        "forces": None
-        if meta.get("forces") is None
-        else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
-        "contacts": [_contact(fields) for fields in meta.get("contacts", ())],
+        **{name: meta[name] for name in PLAIN},
+        "forces": TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
+        "contacts": [_contact(fields) for fields in meta["contacts"]],
     }
 
 
@@ -189,15 +183,13 @@ def _segments(arrays: Mapping[str, Any]) -> list[DenseStep]:
 
 
 def _impacts(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> list[ImpactRecord]:
-    points = meta.get("points", [None] * len(meta["impacts"]))
-    in_group = meta.get("in_group", [None] * len(meta["impacts"]))
+    points, in_group = meta["points"], meta["in_group"]
     policies = {place[0]: place[2] for place in in_group if place is not None}
     groups = [
         ImpactGroup(ImpactProblem(**{name: _numbers(value) for name, value in group.items()}), policies[k])
-        for k, group in enumerate(meta.get("groups", ()))
+        for k, group in enumerate(meta["groups"])
     ]
-    scales = arrays.get("impact_scale", np.full(len(meta["impacts"]), np.nan))
-    factors = arrays.get("impact_factor", np.full((len(meta["impacts"]), 10), np.nan))
+    scales, factors = arrays["impact_scale"], arrays["impact_factor"]
     return [
         ImpactRecord(
             time,
@@ -231,7 +223,7 @@ def _fields(value: Any) -> dict[str, Any]:
 
 def _contact_fields(contact: Contact) -> dict[str, Any]:
     """Return what a contact was made from, without functions; of two shapes also that of the shapes."""
-    found = _fields(contact) | {"plane": _surface_fields(contact.plane)}
+    found = _fields(contact) | {"plane": {"kind": contact.plane.kind} | _fields(contact.plane)}
     if callable(contact.restitution):
         found["restitution"] = 0.0
     if contact.pair is not None:
@@ -240,18 +232,9 @@ def _contact_fields(contact: Contact) -> dict[str, Any]:
 
 
 def _contact(fields: dict[str, Any]) -> Contact:
-    pair = fields.get("pair")
-    return Contact(
-        **fields | {"plane": _surface(**fields["plane"]), "pair": None if pair is None else _contact(pair)}
-    )
-
-
-def _surface_fields(surface: Surface) -> dict[str, Any]:
-    return {"kind": surface.kind} | _fields(surface)
-
-
-def _surface(kind: str, **fields: Any) -> Surface:
-    return SURFACES[kind](**fields)
+    pair, surface = fields.get("pair"), dict(fields["plane"])
+    plane = SURFACES[surface.pop("kind")](**surface)
+    return Contact(**fields | {"plane": plane, "pair": None if pair is None else _contact(pair)})
 
 
 def _plain(value: Any) -> Any:

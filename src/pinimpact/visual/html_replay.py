@@ -421,7 +421,7 @@ def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
 def _forces(trajectory: Trajectory, name: str, times: Array) -> Array | None:
     """Return the forces of a contact at the frames, (frames, 3) in world axes, or None if it has none."""
     closed = [mode for mode in trajectory.modes if mode.source == name]
-    if not closed or not trajectory.has_forces:
+    if not closed:
         return None
     forces = np.zeros((len(times), 3))
     for interval in closed:

@@ -13,17 +13,7 @@ import numpy as np
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import always_inlined_bitcode, inlined
 from ..._numeric.tolerances import ROUNDING, TINY
-from .codes import (
-    IMPACT_WITHOUT_COLLISION,
-    IMPULSE,
-    INDEFINITE_DELASSUS,
-    INVALID_NUMBERS,
-    NEAR_JUMP,
-    NO_FLAG,
-    NO_IMPACT,
-    SINGULAR_DELASSUS,
-    UNSTOPPABLE,
-)
+from . import codes
 from .delassus import LEANING, ZERO, Delassus, clear, nearly_singular, of_factor
 from .laws import counted, law_of_slow_approach
 from .tolerances import WELL_CONDITIONED
@@ -242,7 +232,7 @@ def _slip(v1, v2):
 def _tie(v1, v2, v3, k1, k2, normal_part, law, factored, tiny, doubtful):
     """Return v₃ − k·v_t, zero where it is rounding, and v₃; s = 0 ties them for good. (theory.md, 6)"""
     offset = v3 - k1 * v1 - k2 * v2
-    known = offset > 0.0 and counted(law) == IMPULSE  # nothing is then divided by it
+    known = offset > 0.0 and counted(law) == codes.IMPULSE  # nothing is then divided by it
     if normal_part * abs(offset) <= (tiny if known else doubtful):
         tied = v3 - offset
         offset = 0.0
@@ -265,7 +255,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         `View` and the `Problem`.
     """
     if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
-        return _nothing_to_follow(INVALID_NUMBERS, 0.0, NO_FLAG)
+        return _nothing_to_follow(codes.INVALID_NUMBERS, 0.0, codes.NO_FLAG)
 
     w11, w12, w13, w22, w23, w33, v1, v2, v3, scale_w, scale_v, sign1, sign2, swapped, diagonal = _seen(
         w11, w12, w13, w22, w23, w33, v1, v2, v3
@@ -280,9 +270,9 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         found = nearly_singular(w11, w12, w13, w22, w23, w33)
     rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3, doubt = found
     if rank < 0:
-        return _nothing_to_follow(INDEFINITE_DELASSUS, math.ldexp(least, scale_w), NO_FLAG)
-    flags = SINGULAR_DELASSUS if rank < 3 else NO_FLAG
-    jump = NEAR_JUMP if doubt else NO_FLAG
+        return _nothing_to_follow(codes.INDEFINITE_DELASSUS, math.ldexp(least, scale_w), codes.NO_FLAG)
+    flags = codes.SINGULAR_DELASSUS if rank < 3 else codes.NO_FLAG
+    jump = codes.NEAR_JUMP if doubt else codes.NO_FLAG
     flags |= jump
 
     # a part of v that W cannot have made is rounding up to here, and a moving surface beyond (theory.md, 6)
@@ -312,14 +302,14 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     speed, s1, s2 = _slip(v1, v2)
     if abs(v3) <= tiny and c < mu * (b1 * s1 + b2 * s2):
         # without an approach friction drives the surface in, with the least retreat it does not
-        jump = NEAR_JUMP
+        jump = codes.NEAR_JUMP
         flags |= jump
     if v3 > 0.0 or (v3 == 0.0 and not (speed > 0.0 and c < mu * (b1 * s1 + b2 * s2))):
-        return _nothing_to_follow(NO_IMPACT, 0.0, jump)
+        return _nothing_to_follow(codes.NO_IMPACT, 0.0, jump)
     if c <= 0.0:
-        return _nothing_to_follow(UNSTOPPABLE, math.ldexp(v3, scale_v), NO_FLAG)
+        return _nothing_to_follow(codes.UNSTOPPABLE, math.ldexp(v3, scale_v), codes.NO_FLAG)
     if v3 == 0.0:
-        flags |= IMPACT_WITHOUT_COLLISION
+        flags |= codes.IMPACT_WITHOUT_COLLISION
     elif v3 > -TOO_SHORT * speed and c > mu * (b1 * s1 + b2 * s2):
         law = law_of_slow_approach(law)
 

@@ -9,17 +9,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, THREE, declared
 from ..._compile.jit import inlined, inlined_bitcode
-from .codes import (
-    ENDED_AT_REST,
-    ENERGY_CREATED,
-    LOCKED,
-    LOCKS,
-    NO_FLAG,
-    NO_IMPACT,
-    OUT_OF_RANGE,
-    SEPARATED,
-    VELOCITY,
-)
+from . import codes
 from .contact_problem import Problem, View, halves
 from .delassus import EPS
 
@@ -63,15 +53,15 @@ def plain(result):
 def no_result(status, figure):
     """Return the answer of a problem that has none."""
     nan, no = math.nan, np.int64(0)
-    return Result(status, NO_FLAG, no, nan, nan, nan, nan, nan, nan, nan, figure, no, no)
+    return Result(status, codes.NO_FLAG, no, nan, nan, nan, nan, nan, nan, nan, figure, no, no)
 
 
 @inlined
 def not_begun(begins, figure, flags, v1, v2, v3):
     """Return the values of the answer where `prepare` finds no impact, or a reason why there is no answer."""
-    if begins == NO_IMPACT:
+    if begins == codes.NO_IMPACT:
         no = np.int64(0)
-        return plain(Result(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no))
+        return plain(Result(codes.NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no))
     return plain(no_result(begins, figure))
 
 
@@ -107,9 +97,9 @@ def finish(
     p1, p2, p3 = impulse
     if v3 <= 0.0:
         v3 = 0.0
-        status = LOCKED if flags & LOCKS else ENDED_AT_REST
+        status = codes.LOCKED if flags & codes.LOCKS else codes.ENDED_AT_REST
     if _creates_energy(problem.v1, problem.v2, problem.v3, v1, v2, v3, p1, p2, p3):
-        flags |= ENERGY_CREATED
+        flags |= codes.ENERGY_CREATED
     if view.leaning:
         v1, v2 = turn_back(view, v1, v2)
         p1, p2 = turn_back(view, p1, p2)
@@ -128,7 +118,7 @@ def finish(
     p1, p2, p3 = sign1 * p1 * fp1 * fp2 + 0.0, sign2 * p2 * fp1 * fp2 + 0.0, p3 * fp1 * fp2
     compressed = compressed * fp1 * fp2
     if not (abs(v1) + abs(v2) + abs(v3) + abs(p1) + abs(p2) + abs(p3) < math.inf):
-        return no_result(OUT_OF_RANGE, 0.0)
+        return no_result(codes.OUT_OF_RANGE, 0.0)
     fw1, fw2 = halves(scale_p + scale_v)
     for i in range(rows):
         trace[i, 2] *= fp1
@@ -166,10 +156,10 @@ def followed(
         ledger: The `Ledger` at the end.
         view, problem, flags, iterations, velocity, impulse, trace, rows, path, points: As in `finish`.
     """
-    if status not in (SEPARATED, LOCKED):
+    if status not in (codes.SEPARATED, codes.LOCKED):
         return plain(no_result(status, math.ldexp(figure, view.scale_v)))
     v1, v2, v3 = velocity
-    if problem.counts == VELOCITY and status != LOCKED:
+    if problem.counts == codes.VELOCITY and status != codes.LOCKED:
         v3 = ledger.goal
     return plain(
         finish(

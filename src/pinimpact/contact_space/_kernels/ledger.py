@@ -8,18 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._compile.jit import inlined
-from .codes import (
-    COMPRESSION,
-    COMPRESSION_ENDS,
-    COMPRESSION_RESUMES,
-    IMPULSE,
-    LAW_MET,
-    NEAR_JUMP,
-    NO_FLAG,
-    RESTITUTION,
-    SECOND_COMPRESSION,
-    VELOCITY,
-)
+from . import codes
 from .laws import left_of_goal, restitution_goal
 from .tolerances import CLOSE_TO_JUMP
 
@@ -47,7 +36,7 @@ class Ledger(NamedTuple):
 @inlined
 def new_ledger():
     """Return the ledger of an impact that begins."""
-    return Ledger(COMPRESSION, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Ledger(codes.COMPRESSION, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
@@ -71,30 +60,30 @@ def close_move(ledger, problem, event, span, work, rate, left, p3):
         to be set.
     """
     phase, phase_start, compressed, restored, compression_work, restitution_work, goal = ledger
-    flags = NO_FLAG
-    if phase == COMPRESSION:
+    flags = codes.NO_FLAG
+    if phase == codes.COMPRESSION:
         compression_work += work
     else:
         restitution_work += work
         restored += span
-    if event == COMPRESSION_ENDS:
+    if event == codes.COMPRESSION_ENDS:
         compressed += p3 - phase_start
-        phase = RESTITUTION
+        phase = codes.RESTITUTION
         goal = restitution_goal(problem.law, problem.e, compressed, compression_work, problem.v3)
         if goal == 0.0:
-            event = LAW_MET
-    elif event == COMPRESSION_RESUMES:
-        flags |= SECOND_COMPRESSION
-        phase = COMPRESSION
+            event = codes.LAW_MET
+    elif event == codes.COMPRESSION_RESUMES:
+        flags |= codes.SECOND_COMPRESSION
+        phase = codes.COMPRESSION
         phase_start = p3
-        if problem.counts != VELOCITY:
+        if problem.counts != codes.VELOCITY:
             # v₃ rose to `peak` and came back; had the approach been a little slower the rise had been higher,
             # lasted longer in the proportion of the root, and perhaps long enough
             peak = -0.25 * rate * restored
             higher = 1.0 - CLOSE_TO_JUMP * problem.v3 / peak if peak > 0.0 else math.inf
             longer = math.sqrt(higher)
-            gained, more = (span, longer) if problem.counts == IMPULSE else (work, longer * higher)
+            gained, more = (span, longer) if problem.counts == codes.IMPULSE else (work, longer * higher)
             if left - gained < CLOSE_TO_JUMP * goal or goal < more * (goal - (left - gained)):
-                flags |= NEAR_JUMP
+                flags |= codes.NEAR_JUMP
     ledger = Ledger(phase, phase_start, compressed, restored, compression_work, restitution_work, goal)
     return ledger, event, flags

@@ -17,21 +17,7 @@ import numpy as np
 
 from ..._compile.declared import declared
 from ..._compile.jit import always_inlined, always_inlined_bitcode, inlined, inlined_bitcode
-from .codes import (
-    COMPRESSION_ENDS,
-    COMPRESSION_RESUMES,
-    IN_RESUMED_SLIP,
-    IN_SLIP,
-    IN_STICK,
-    JAM,
-    LOCKS,
-    NEAR_STICK_THRESHOLD,
-    NEVER,
-    NO_EVENT,
-    NO_FLAG,
-    SLIP_RESUMED,
-    STICKS,
-)
+from . import codes
 from .contact_problem import Problem
 from .delassus import ZERO
 from .laws import first_event
@@ -163,7 +149,7 @@ def tangential_velocity(problem, state):
 @inlined
 def frictionless_course(problem):
     """Return the `Course` where μ = 0."""
-    return Course(IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
+    return Course(codes.IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
 
 
 @inlined
@@ -251,7 +237,7 @@ def slip_course(problem, units, state, fresh):
             leave = speed * units.per * (math.expm1(m0 * tau) / m0 if m0 != 0.0 else tau)
             if leave < until:
                 until, ends_slip = leave, False
-    course = Course(IN_SLIP, rate, gain, -mu * s1, -mu * s2, until, ends_slip, m0, t1)
+    course = Course(codes.IN_SLIP, rate, gain, -mu * s1, -mu * s2, until, ends_slip, m0, t1)
     state = State(s1, s2, speed, v3, turn, p1, p2, p3)
     return course, straight, state, Polynomials(t1, t2, t3, t4, m0, m1, m2, m3), bl, bp
 
@@ -275,21 +261,21 @@ def leave_zero_slip(problem, state):
         problem.b2,
     )
     before1, before2 = problem.v1, problem.v2
-    flags = NO_FLAG
+    flags = codes.NO_FLAG
     if s > 0.0 and abs(k1 * before1) + abs(k2 * before2) + s * p3 < abs(b1 * p1) + abs(b2 * p2) + c * p3:
         # the identity of theory.md, 6 knows v₃ better than the sum over the path
         v3 = problem.v3 - k1 * before1 - k2 * before2 + s * p3
     stick_ratio = math.sqrt(k1 * k1 + k2 * k2)
     excess = stick_ratio - mu
     if abs(excess) <= NEAR_THRESHOLD * mu:
-        flags |= NEAR_STICK_THRESHOLD
+        flags |= codes.NEAR_STICK_THRESHOLD
     if excess <= 0.0:
-        mode, rate, dp1, dp2, gain = IN_STICK, s, -k1, -k2, 0.0
+        mode, rate, dp1, dp2, gain = codes.IN_STICK, s, -k1, -k2, 0.0
         if s == 0.0:
-            flags |= LOCKS
+            flags |= codes.LOCKS
             v3 = problem.offset
     else:
-        mode = IN_RESUMED_SLIP
+        mode = codes.IN_RESUMED_SLIP
         if problem.flat:
             s1, s2 = k1 / stick_ratio, k2 / stick_ratio
             gain = (problem.a11 + problem.a22) * excess
@@ -316,11 +302,11 @@ def straight_move(problem, omega, course, state, phase, left):
     mode, rate, gain, dp1, dp2, until, ends_slip, m0, t1 = course
     span, event = first_event(phase, problem.counts, left, v3, rate)
     # v₃ = k·v_t: on a straight line the two vanish together
-    together = problem.s == 0.0 and problem.offset == 0.0 and event == COMPRESSION_ENDS and ends_slip
+    together = problem.s == 0.0 and problem.offset == 0.0 and event == codes.COMPRESSION_ENDS and ends_slip
     if until < span or together:
-        span, event = until, NO_EVENT
+        span, event = until, codes.NO_EVENT
     if span == math.inf:
-        return Move(NEVER, span, 0.0, 0.0, rate, 0.0, 0.0), state
+        return Move(codes.NEVER, span, 0.0, 0.0, rate, 0.0, 0.0), state
     v3_end = v3 + rate * span
     speed_end = speed + gain * span
     if span == until and ends_slip:
@@ -328,14 +314,14 @@ def straight_move(problem, omega, course, state, phase, left):
         if problem.s == 0.0:
             v3_end = problem.offset
     work = 0.5 * (v3 + v3_end) * span
-    friction_work = -0.5 * problem.mu * (speed + speed_end) * span if mode != IN_STICK else 0.0
+    friction_work = -0.5 * problem.mu * (speed + speed_end) * span if mode != codes.IN_STICK else 0.0
     if turn != 0.0 and speed > 0.0 and speed_end > 0.0:
         tau = math.log(speed_end / speed) / m0 if m0 != 0.0 else omega * span / speed
         turn *= math.exp(0.5 * t1 * tau)
     p1 += dp1 * span
     p2 += dp2 * span
     p3 += span
-    if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
+    if event in (codes.COMPRESSION_ENDS, codes.COMPRESSION_RESUMES):
         v3_end = 0.0
     return (
         Move(event, span, work, friction_work, rate, 0.0, 0.0),
@@ -347,14 +333,14 @@ def straight_move(problem, omega, course, state, phase, left):
 def mode_flag(mode, span, p3):
     """Return the flag of the mode of a move over `span` up to `p3`, if it is more than a touch."""
     if p3 - span < p3:
-        if mode == IN_STICK:
-            return STICKS
-        if mode == IN_RESUMED_SLIP:
-            return SLIP_RESUMED
-    return NO_FLAG
+        if mode == codes.IN_STICK:
+            return codes.STICKS
+        if mode == codes.IN_RESUMED_SLIP:
+            return codes.SLIP_RESUMED
+    return codes.NO_FLAG
 
 
 @inlined
 def jams(rate):
     """Return the flag of a dv₃/dP₃ during slip."""
-    return JAM if rate < 0.0 else NO_FLAG
+    return codes.JAM if rate < 0.0 else codes.NO_FLAG

@@ -5,22 +5,7 @@ from __future__ import annotations
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared, plain_tuple
 from ..._compile.jit import always_inlined, inlined, jit
-from .codes import (
-    LAW_MET,
-    LAW_UNREACHABLE,
-    LOCKED,
-    LOCKS,
-    NEAR_JUMP,
-    NEVER,
-    NO_FLAG,
-    NONE_YET,
-    NOT_CONVERGED,
-    RESTITUTION,
-    SEPARATED,
-    SLIP_TURNS,
-    UNSTOPPABLE,
-    VELOCITY,
-)
+from . import codes
 from .contact_problem import PROCEEDS, prepare
 from .ending import Result, followed, not_begun
 from .ledger import close_move, left_to_gain, new_ledger
@@ -114,13 +99,13 @@ def _follow(problem, flags, scratch, trace, path):
     ledger = new_ledger()
     course = frictionless_course(problem)
     settled = problem.mu == 0.0  # from here on all rates are constant
-    iterations, rows, points = 0, NONE_YET, NONE_YET
+    iterations, rows, points = 0, codes.NONE_YET, codes.NONE_YET
     if path.shape[0] > 0:
         points = record_point(path, points, 0.0, problem.v1, problem.v2, problem.v3, 0.0, 0.0)
     while True:
         iterations += 1
         if iterations > MAX_MOVES:
-            return NOT_CONVERGED, 0.0, flags, iterations, state, ledger, rows, points
+            return codes.NOT_CONVERGED, 0.0, flags, iterations, state, ledger, rows, points
         left = left_to_gain(ledger, problem.counts, state.v3)
         turns = False
         if not settled:
@@ -137,7 +122,7 @@ def _follow(problem, flags, scratch, trace, path):
                 turns = not straight
         before = state
         if turns:
-            flags |= SLIP_TURNS
+            flags |= codes.SLIP_TURNS
             move, state, new_flags, points = turning_move(
                 coefficients, reciprocals, nodes, problem, units, state, polynomials, bl, bp,
                 course.rate, ledger.phase, ledger.goal, left, traced, path, points,
@@ -145,10 +130,10 @@ def _follow(problem, flags, scratch, trace, path):
             flags |= new_flags | jams(move.rate)
         else:
             move, state = straight_move(problem, units.omega, course, state, ledger.phase, left)
-        if move.event == NEVER:
-            status, figure = UNSTOPPABLE, state.v3
-            if ledger.phase == RESTITUTION:
-                status, figure = (LOCKED if flags & LOCKS else LAW_UNREACHABLE), left
+        if move.event == codes.NEVER:
+            status, figure = codes.UNSTOPPABLE, state.v3
+            if ledger.phase == codes.RESTITUTION:
+                status, figure = (codes.LOCKED if flags & codes.LOCKS else codes.LAW_UNREACHABLE), left
             return status, figure, flags, iterations, state, ledger, rows, points
         flags |= mode_flag(course.mode, move.span, state.p3)
         if traced:
@@ -163,22 +148,22 @@ def _follow(problem, flags, scratch, trace, path):
         if path.shape[0] > 0:
             u1, u2 = tangential_velocity(problem, state)
             points = record_point(path, points, state.p3, u1, u2, state.v3, state.p1, state.p2)
-        if event == LAW_MET:
+        if event == codes.LAW_MET:
             break
     flags |= _near_jump(problem, units, state, ledger, move.rate, turns)
-    return SEPARATED, 0.0, flags, iterations, state, ledger, rows, points
+    return codes.SEPARATED, 0.0, flags, iterations, state, ledger, rows, points
 
 
 @inlined
 def _near_jump(problem, units, state, ledger, rate, turns):
     """Return `NEAR_JUMP` if a goal just higher would have been missed."""
-    v3, flags = state.v3, NO_FLAG
-    if problem.counts == VELOCITY:
+    v3, flags = state.v3, codes.NO_FLAG
+    if problem.counts == codes.VELOCITY:
         v3 = ledger.goal
         # dv₃/dP₃ is on its way to a jam
         fall = problem.mu * (state.s1 * problem.b2 - state.s2 * problem.b1) * units.omega * state.turn
         if turns and state.speed * rate * rate < 2.0 * CLOSE_TO_JUMP * ledger.goal * fall:
-            flags |= NEAR_JUMP
+            flags |= codes.NEAR_JUMP
     if rate < 0.0 and v3 < -CLOSE_TO_JUMP * state.p3 * rate:
-        flags |= NEAR_JUMP
+        flags |= codes.NEAR_JUMP
     return flags

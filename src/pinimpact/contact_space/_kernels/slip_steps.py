@@ -12,19 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._compile.jit import always_inlined, inlined
+from . import codes
 from .butcher import Tableau
-from .codes import (
-    COMPRESSION,
-    COMPRESSION_ENDS,
-    COMPRESSION_RESUMES,
-    IMPULSE,
-    LAW_MET,
-    NO_EVENT,
-    NO_FLAG,
-    RESTITUTION,
-    SLIP_TURNS,
-    WORK,
-)
 from .contact_problem import norm
 from .delassus import EPS
 from .moves import Move, jams
@@ -208,15 +197,15 @@ def shorter(stepping, at, stride):
 @inlined
 def before_event(stepping, sought, stiff, at, h):
     """Measure how far the end of a step over h lies before an event: positive before it."""
-    if sought == GOAL and stepping.counts == IMPULSE:
+    if sought == GOAL and stepping.counts == codes.IMPULSE:
         return at.left - h
     step = trial_step(stepping, stiff, at, h)
     if sought == SLIP_ENDS:
         return step.least
     v3_end, work = gains(stepping, at, h, step)
     if sought == GOAL:
-        return at.left - (work if stepping.counts == WORK else v3_end - at.v3)
-    return v3_end if at.phase == RESTITUTION else -v3_end
+        return at.left - (work if stepping.counts == codes.WORK else v3_end - at.v3)
+    return v3_end if at.phase == codes.RESTITUTION else -v3_end
 
 
 @inlined
@@ -291,20 +280,22 @@ def first_event(stepping, at, stiff, tied, h, step):
         h: Length of the step.
         step: The `Step`.
     """
-    event, counts = NO_EVENT, stepping.counts
+    event, counts = codes.NO_EVENT, stepping.counts
     for sought in (V3_ZERO, GOAL):  # each search starts from the event found before
         v3_end, work = gains(stepping, at, h, step)
         if sought == V3_ZERO:
-            crossed = v3_end >= 0.0 if at.phase == COMPRESSION else v3_end <= 0.0
-        elif at.phase == COMPRESSION:
+            crossed = v3_end >= 0.0 if at.phase == codes.COMPRESSION else v3_end <= 0.0
+        elif at.phase == codes.COMPRESSION:
             crossed = False
         else:
-            crossed = at.left <= (h if counts == IMPULSE else work if counts == WORK else v3_end - at.v3)
+            crossed = at.left <= (
+                h if counts == codes.IMPULSE else work if counts == codes.WORK else v3_end - at.v3
+            )
         if crossed and h > 0.0 and not (tied and sought == V3_ZERO):
             h = locate(stepping, sought, stiff, at, h)
-            event = COMPRESSION_ENDS if at.phase == COMPRESSION else COMPRESSION_RESUMES
+            event = codes.COMPRESSION_ENDS if at.phase == codes.COMPRESSION else codes.COMPRESSION_RESUMES
             if sought == GOAL:
-                event = LAW_MET
+                event = codes.LAW_MET
             step = trial_step(stepping, stiff, at, h)
     return event, h, step
 
@@ -327,15 +318,15 @@ def slip_move(stepping, problem, at, rate, stride):
     rtol, mu = stepping.rtol, stepping.mu
     taken, stride, stiff, vanishes, h, step = choose_step(stepping, at, stride)
     if not taken:
-        return False, stride, Move(NO_EVENT, 0.0, 0.0, 0.0, rate, 0.0, 0.0), at, NO_FLAG
+        return False, stride, Move(codes.NO_EVENT, 0.0, 0.0, 0.0, rate, 0.0, 0.0), at, codes.NO_FLAG
     tied = vanishes and problem.s == 0.0 and problem.offset == 0.0
     event, h, step = first_event(stepping, at, stiff, tied, h, step)
-    vanishes = vanishes and event == NO_EVENT
+    vanishes = vanishes and event == codes.NO_EVENT
     d1, d2, q1, q2, u1, u2, _, _ = step
     v3_end, work = gains(stepping, at, h, step)
     friction_work = 0.5 * (d1 * (at.v1 + u1) + d2 * (at.v2 + u2))
     friction_work += 0.5 * h * (b1 * d1 + b2 * d2) - b1 * q1 - b2 * q2
-    if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
+    if event in (codes.COMPRESSION_ENDS, codes.COMPRESSION_RESUMES):
         v3_end = 0.0
     x1, x2 = stop_impulse(stepping.flat, a11, a12, a22, u1, u2)
     # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on; if that is more than the cone
@@ -346,10 +337,10 @@ def slip_move(stepping, problem, at, rate, stride):
         d1, d2 = d1 + x1, d2 + x2
         u1 = u2 = 0.0
         v3_end = 0.0 if tied else v3_end + b1 * x1 + b2 * x2
-        if at.phase == COMPRESSION and v3_end >= 0.0:
-            event = COMPRESSION_ENDS
-        elif at.phase == RESTITUTION and v3_end < 0.0:
-            event = COMPRESSION_RESUMES
+        if at.phase == codes.COMPRESSION and v3_end >= 0.0:
+            event = codes.COMPRESSION_ENDS
+        elif at.phase == codes.RESTITUTION and v3_end < 0.0:
+            event = codes.COMPRESSION_RESUMES
     # as far as the error of P_t so far lets the direction be known, which is lost as slip dies
     doubt, push = rtol * mu * (at.p3 + h), norm(b1, b2)
     flags = jams(rate + min(1.0, doubt * (a11 + a22) / at.speed) * mu * push)
@@ -358,6 +349,6 @@ def slip_move(stepping, problem, at, rate, stride):
     speed = norm(u1, u2)
     rate = stepping.c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else problem.s
     if abs(at.v1 * u2 - at.v2 * u1) > TURNED * at.speed * speed:
-        flags |= SLIP_TURNS
+        flags |= codes.SLIP_TURNS
     after = At(u1, u2, v3_end, speed, at.p1 + d1, at.p2 + d2, at.p3 + h, at.phase, at.left)
     return True, stride, Move(event, h, work, friction_work, rate, 0.0, 0.0), after, flags

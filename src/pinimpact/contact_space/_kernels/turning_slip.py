@@ -6,19 +6,7 @@ import math
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import always_inlined, always_inlined_bitcode, inlined
-from .codes import (
-    COMPRESSION_ENDS,
-    COMPRESSION_RESUMES,
-    IMPULSE,
-    LAW_MET,
-    NEAR_JUMP,
-    NEVER,
-    NO_EVENT,
-    NO_FLAG,
-    RESTITUTION,
-    VELOCITY,
-    WORK,
-)
+from . import codes
 from .contact_problem import Problem
 from .delassus import ZERO
 from .invariant_direction import expand_around_root, nearby_root
@@ -60,7 +48,7 @@ def turning_move(
     Returns:
         the `Move`, the state after it, flags to be set, and the points recorded.
     """
-    restoring, flags, work, rubbed = phase == RESTITUTION, NO_FLAG, 0.0, 0.0
+    restoring, flags, work, rubbed = phase == codes.RESTITUTION, codes.NO_FLAG, 0.0, 0.0
     lift = rate, -2.0 * problem.mu * bp, problem.c + problem.mu * bl  # (3.16)
     scale = state.speed * units.per
     event, x, last, whole, series = _near_event(
@@ -69,7 +57,7 @@ def turning_move(
     )
     axes = state.s1, state.s2, 0.0, 0.0
     end = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if event == NO_EVENT:
+    if event == codes.NO_EVENT:
         series, x, peaks, axes = _far_series(
             coefficients, reciprocals, problem, units, state, polynomials, last, whole, series
         )
@@ -77,10 +65,10 @@ def turning_move(
             series, nodes, problem, axes, x, peaks, rate, restoring, goal, left
         )
         if endless:
-            return Move(NEVER, end[0], 0.0, 0.0, rate, 0.0, 0.0), state, flags, points
-    if event != NO_EVENT:
+            return Move(codes.NEVER, end[0], 0.0, 0.0, rate, 0.0, 0.0), state, flags, points
+    if event != codes.NO_EVENT:
         end = _end_at(series, x)
-    if traced or (problem.counts == WORK and not restoring):
+    if traced or (problem.counts == codes.WORK and not restoring):
         work, rubbed = works(series, nodes, x)
     if path.shape[0] > 0:
         points = record_series(path, points, series, x, axes[0], axes[1], state.p1, state.p2, state.p3)
@@ -107,8 +95,8 @@ def _near_event(
     """
     v3, turn, mu = state.v3, state.turn, problem.mu
     t1, m0 = polynomials.p1, polynomials.m0
-    event, x, last = NO_EVENT, 0.0, 0.0
-    around_invariant = whole = event != NO_EVENT  # False, but no literal: see `codes`
+    event, x, last = codes.NO_EVENT, 0.0, 0.0
+    around_invariant = whole = event != codes.NO_EVENT  # False, but no literal: see `codes`
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     series = SlipSeries(
         around_invariant,
@@ -123,13 +111,13 @@ def _near_event(
         v3,
         state.speed,
     )
-    sought, aim, guess = VELOCITY, goal if restoring else 0.0, 0.0
+    sought, aim, guess = codes.VELOCITY, goal if restoring else 0.0, 0.0
     bend = m0 - 0.5 * t1
-    if restoring and problem.counts == IMPULSE:
-        sought, aim = IMPULSE, left
+    if restoring and problem.counts == codes.IMPULSE:
+        sought, aim = codes.IMPULSE, left
         guess = halley(-left, scale, bend)
-    elif restoring and problem.counts == WORK:
-        sought, aim = WORK, left
+    elif restoring and problem.counts == codes.WORK:
+        sought, aim = codes.WORK, left
         square = v3 * v3 + 2.0 * rate * left
         if square > 0.0:
             guess = halley(-2.0 * left / (v3 + math.sqrt(square)), scale, bend)
@@ -148,7 +136,7 @@ def _near_event(
         if guess <= near:
             x = seek_near(series, nodes, sought, aim, guess, near)
         if x > 0.0:
-            event = LAW_MET if restoring else COMPRESSION_ENDS
+            event = codes.LAW_MET if restoring else codes.COMPRESSION_ENDS
     return event, x, last, whole, series
 
 
@@ -245,7 +233,7 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
         counts; what `_end_at` returns for x; and flags.
     """
     v3, shape, counts = series.v3, series.shape, problem.counts
-    event, flags, work = NO_EVENT, NO_FLAG, 0.0
+    event, flags, work = codes.NO_EVENT, codes.NO_FLAG, 0.0
     endless = x == math.inf and shape.exponent <= 0.0
     if endless:
         v3_end = math.inf if series.j0 > 0.0 else -math.inf
@@ -260,29 +248,29 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
         end = span, along, across, ratio, t, v3_end
     # what the velocity brings
     met = v3_end > goal or (v3_end == goal and x < math.inf)
-    aim = goal if counts == VELOCITY and restoring and met else 0.0
+    aim = goal if counts == codes.VELOCITY and restoring and met else 0.0
     if restoring:
         if aim > 0.0:
-            event = LAW_MET
+            event = codes.LAW_MET
         elif v3_end < 0.0:
-            event = COMPRESSION_RESUMES
-        elif counts == VELOCITY and peaks and rate > 0.0 and goal - v3_end < CLOSE_TO_JUMP * goal:
-            flags |= NEAR_JUMP
+            event = codes.COMPRESSION_RESUMES
+        elif counts == codes.VELOCITY and peaks and rate > 0.0 and goal - v3_end < CLOSE_TO_JUMP * goal:
+            flags |= codes.NEAR_JUMP
     elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
-        event = COMPRESSION_ENDS
-    if event != NO_EVENT:
-        x = seek(series, nodes, VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
+        event = codes.COMPRESSION_ENDS
+    if event != codes.NO_EVENT:
+        x = seek(series, nodes, codes.VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
         endless = False
     # what the sum of impulse or work brings before that
-    if restoring and counts != VELOCITY:
+    if restoring and counts != codes.VELOCITY:
         total = math.inf
         if not endless:
-            total = end[0] if event == NO_EVENT else point(series, x)[0]
-            if counts == WORK:
+            total = end[0] if event == codes.NO_EVENT else point(series, x)[0]
+            if counts == codes.WORK:
                 total, _ = works(series, nodes, x)
                 work = total
         if total >= left:
-            event = LAW_MET
+            event = codes.LAW_MET
             x = seek(series, nodes, counts, left, -left, total - left, x, rate)
             endless = False
     return event, x, endless, work, end, flags
@@ -305,7 +293,7 @@ def _state_after(problem, state, series, axes, event, x, end):
     span, along, across, ratio, t, v3_end = end
     shape, turn, speed = series.shape, state.turn, state.speed * ratio
     j0, j1, j2 = series.j0, series.j1, series.j2
-    if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
+    if event in (codes.COMPRESSION_ENDS, codes.COMPRESSION_RESUMES):
         v3_end = 0.0
     # v₃ is monotone, but at both ends it may stand still
     middle = 0.5 * (t + shape.h * shape.start if series.around_invariant else t)
@@ -318,7 +306,7 @@ def _state_after(problem, state, series, axes, event, x, end):
     norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
     s1 *= norm
     s2 *= norm
-    if problem.s == 0.0 and event == NO_EVENT:
+    if problem.s == 0.0 and event == codes.NO_EVENT:
         v3_end = tied(problem, s1, s2, speed, error1, error2, v3_end)
     if series.around_invariant:
         y = t / shape.h

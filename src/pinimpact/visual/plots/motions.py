@@ -90,7 +90,6 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 
     Raises:
         UnknownNameError: A contact that the scene does not have.
-        InputError: A trajectory from an older file without forces.
     """
     times, sides = moments(trajectory)
     found = np.array(
