@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import root
 
 import pinimpact
-from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate
+from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate, solve_impact
 from pinimpact._numeric.augmented_newton import VelocityProblem
 from pinimpact._numeric.tolerances import SOFTEST
 from pinimpact.geometry._kernels.box_patch import box_patch
@@ -618,3 +618,30 @@ def test_where_impulses_are_not_unique_they_are_those_of_equal_compliances():
         impulse = np.zeros(3 * n)
         solved(mass, jacobian, jacobian @ [0.0, -1.0, 0.0], np.full(n, 0.3), compliance, impulse)
         np.testing.assert_allclose(impulse[2::3], 2.0 / compliance / (1.0 / compliance).sum(), rtol=1e-9)
+
+
+def test_impacts_are_as_accurate_as_the_steps_that_they_interrupt(tmp_path):
+    """Beside the same impacts at full accuracy; a step of h misses (h g / v)² of a velocity v."""
+    scene = boxes(3, (0.1, 0.1, 0.1), 1.0, restitution=0.3)
+    q = []
+    for k in range(3):
+        tilt = pin.Quaternion(pin.exp3(np.array([0.02 * (k + 1), 0.01, 0.1 * k])))
+        q += [0.003 * k, 0.0, 0.07 + 0.11 * k, *tilt.coeffs()]
+    dt, coarse = 1e-3, 0
+    motion = step(scene, np.array(q), np.zeros(18), 0.2, dt)
+    motion.save(tmp_path / "boxes.npz")
+    again = pinimpact.Trajectory.load(tmp_path / "boxes.npz").impacts
+    for impact, loaded in zip(motion.impacts, again, strict=True):
+        if impact.group is None or "adaptive steps" not in " ".join(impact.group[0].solution.notes):
+            continue
+        group, place = impact.group
+        exact = solve_impact(group.problem, simultaneous="propagate")
+        fastest = np.abs(group.problem.velocity).max()
+        missed = np.abs(group.solution.velocity - exact.velocity).max() / fastest
+        assert missed <= max((dt * G / fastest) ** 2, 1e-7)
+        coarse += missed > 1e-7
+        # what is looked up later is what the motion has taken
+        length = np.linalg.norm(group.solution.impulse[place])
+        assert length == pytest.approx(np.linalg.norm(impact.impulse_world), rel=1e-9, abs=1e-12)
+        np.testing.assert_array_equal(loaded.group[0].solution.velocity, group.solution.velocity)
+    assert coarse > 3

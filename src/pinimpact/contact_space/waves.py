@@ -12,7 +12,7 @@ import numpy as np
 from .._numeric.tolerances import LITTLE, TINY
 from ..checks import in_short, real_number
 from ..errors import InputError
-from ._kernels.tolerances import AGREE, FINEST, MISSED, STEP_ACCURACY
+from ._kernels.tolerances import AGREE, FINEST, MISSED
 from .at_once import solve_together
 from .inputs import Array
 from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
@@ -23,17 +23,17 @@ from .problem import ZERO
 RTOL, LEAST_RTOL = 1e-16, 1e-17
 """Relative accuracy of the series of a step: the default, and the least."""
 
-MOST_STEPS = 10_000
-"""Steps from event to event, at most."""
+MOST_STEPS = 3000
+"""Steps from one event to the next, at most."""
 
 
 def propagate_waves(
-    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, by_steps: bool = True
+    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = AGREE
 ) -> ManySolution:
     """Follow the waves of an impact, with forces F ∝ δ^exponent and series to a relative accuracy `rtol`.
 
-    Where events cannot be followed one by one it is integrated by adaptive steps or, without `by_steps`,
-    taken as plastic.
+    Where events cannot be followed one by one it is integrated by adaptive steps, with velocities to a part
+    `accuracy` of the largest, or, where that is zero, taken as plastic.
     """
     from ._kernels.propagation import propagate
 
@@ -42,6 +42,8 @@ def propagate_waves(
             f"exponent: {in_short(exponent)} given, 1 (linear) or 1.5 (Hertz) expected", value=exponent
         )
     rtol = checked_rtol(rtol, LEAST_RTOL)
+    if not 0.0 <= real_number("accuracy", accuracy) <= LITTLE:
+        raise InputError(f"accuracy: {in_short(accuracy)} given, 0 to {LITTLE:g} expected", value=accuracy)
     n = len(inputs.velocity)
     velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
     rows = np.empty((64 * n + 64, 5))
@@ -61,7 +63,7 @@ def propagate_waves(
         else:
             break
     if ended == 2 or not (stopped and missed <= max(MISSED, 100.0 * rtol)):
-        stepped = _propagate_in_steps(inputs, exponent, record) if by_steps else None
+        stepped = _propagate_in_steps(inputs, exponent, record, accuracy) if accuracy > 0.0 else None
         return stepped or _propagate_plastically(inputs)
     notes = notes_on_law(inputs)
     story = None
@@ -103,17 +105,19 @@ MOST_RESTITUTIONS = 8
 e = 0, at most."""
 
 
-def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> ManySolution | None:
-    """Follow waves by adaptive steps; None where they do not come to an end."""
+def _propagate_in_steps(
+    inputs: ManyInputs, exponent: float, record: bool, asked: float
+) -> ManySolution | None:
+    """Follow waves by adaptive steps, to an accuracy; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
-    by_steps, steps, accuracy, rows = np.inf, 0, STEP_ACCURACY, _rows_of(inputs.delassus)
+    by_steps, steps, accuracy, rows = np.inf, 0, LITTLE * asked, _rows_of(inputs.delassus)
     missed = math.inf
     numbers: Array | None = None
     last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
         little = inputs._replace(restitution=np.where(plastic, 0.5**k * LITTLE, inputs.restitution))
-        found = _passes(little, exponent, rows, accuracy, by_steps)
+        found = _passes(little, exponent, rows, asked, accuracy, by_steps)
         if found is None:
             break
         before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
@@ -123,7 +127,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         if before is not None:  # what two extrapolations differ by
             change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
             missed = max(by_steps, change)
-            if k > 1 and (change <= max(by_steps, AGREE) or steps > SPENT):
+            if k > 1 and (change <= max(by_steps, asked) or steps > SPENT):
                 break
     if numbers is None:
         return None
@@ -149,7 +153,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         *(inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0)),
         notes=(*notes_on_law(inputs), text),
         path=story,
-        bounded=missed > MISSED,
+        bounded=missed > MISSED / AGREE * asked,
     )
 
 
@@ -164,7 +168,7 @@ def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
 
 
 def _passes(
-    inputs: ManyInputs, exponent: float, rows: Array, accuracy: float, missed: float
+    inputs: ManyInputs, exponent: float, rows: Array, asked: float, accuracy: float, missed: float
 ) -> tuple[Array, float, int, float] | None:
     """Step through an impact with more and more accuracy, until two passes agree.
 
@@ -172,6 +176,7 @@ def _passes(
         inputs: The impact.
         exponent: Of its forces.
         rows: (3n, r) J with W = J Jᵀ.
+        asked: By how much they may differ at the end.
         accuracy: Of the first pass; a coarser one takes its place where it takes too many steps.
         missed: What that is known to miss, of a nearly equal impact; then one pass is enough.
 
@@ -184,13 +189,13 @@ def _passes(
     if steps > 0 and missed < np.inf:
         return best, missed, steps, accuracy
     finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
-    while steps == 0 and accuracy < AGREE:
+    while steps == 0 and accuracy < asked:
         accuracy *= 10.0
         steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
         total += steps or MOST_SHORT_STEPS
     if steps == 0:
         return None
-    while finer and missed > AGREE and accuracy > FINEST:
+    while finer and missed > asked and accuracy > FINEST:
         steps, other = _pass(inputs, exponent, rows, 0.1 * accuracy, nowhere)
         total += steps or MOST_SHORT_STEPS
         if steps == 0:

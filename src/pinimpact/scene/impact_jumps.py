@@ -279,7 +279,7 @@ class GroupJump:
         None if the impact is not the recorded one, so that it has another outcome nearby.
         """
         nv, record, inputs = len(x) // 2, self._record, self._inputs
-        solution = find_policy(self._group.policy).run(inputs, False)
+        solution = find_policy(self._group.policy).run(inputs, False, **self._group.options)
         impulse, change = solution.impulse.ravel(), record.v_after - record.v_before
         response = self._matrices.response
         if not np.abs(response @ impulse - change).max() <= MISSED * np.abs(change).max():

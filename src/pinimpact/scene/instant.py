@@ -154,6 +154,7 @@ class Instant:
         if self.shapes:
             self.shapes.refresh(self.state.q)
         self._hit[:] = False
+        self._impacts.unresolved = 0.0
         resolved: list[dict[str, Any]] = []
         jams = 0
         while True:
@@ -192,14 +193,16 @@ class Instant:
         if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch")
 
-    def collide(self, touching: float, slowest: float) -> None:
+    def collide(self, touching: float, slowest: float, unresolved: float) -> None:
         """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.
 
         Args:
             touching: The distance [m].
             slowest: The speed [m/s].
+            unresolved: See `SceneImpacts`.
         """
         self._hit[:] = False
+        self._impacts.unresolved = unresolved
         resolved: list[dict[str, Any]] = []
         while self.names:
             near, i, rate = self.approach(self.state.q, self.state.v, touching)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, Protocol
@@ -30,11 +30,13 @@ class ImpactGroup:
     Attributes:
         problem: That of all.
         policy: How it is resolved.
+        options: Of the policy.
         sources: Numbers of the contacts and, past those, limits; none if the group was loaded from a file.
     """
 
     problem: ImpactProblem
     policy: str
+    options: Mapping[str, Any]
     sources: tuple[int, ...] = ()
 
     __repr__ = short_repr
@@ -44,7 +46,7 @@ class ImpactGroup:
         """The solution of all, made on first access."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", BoundReachedWarning)  # the run has given it
-            return solve_impact(self.problem, record=True, simultaneous=self.policy)
+            return solve_impact(self.problem, record=True, simultaneous=self.policy, **self.options)
 
     def part(self, place: int) -> ImpactProblem:
         """Return what one contact's own part of the problem is."""

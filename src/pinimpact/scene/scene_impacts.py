@@ -11,8 +11,9 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import RANK
+from .._numeric.tolerances import LITTLE, RANK, TINY
 from ..arrays import Array, Bools, Integers
+from ..contact_space._kernels.tolerances import AGREE
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -69,6 +70,8 @@ class SceneImpacts:
     Attributes:
         policy: For what collides or rests at one instant.
         together: Whether it takes all of them at once.
+        unresolved: By how much gravity changes velocities in a time step [m/s], 0 between events. What
+            steps miss is the square of that, in parts of velocities, and an impact need not miss less.
     """
 
     def __init__(
@@ -95,6 +98,7 @@ class SceneImpacts:
         self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
+        self.unresolved = 0.0
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
 
     def compile_kernels(self, q: Array) -> None:
@@ -230,10 +234,10 @@ class SceneImpacts:
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
         sources = [touching[k] for k in chosen.tolist()]
-        by_steps = not (refuse and len(chosen) > FEW)
+        accuracy = 0.0 if refuse and len(chosen) > FEW else self._accuracy(velocity)
         try:
             solved = self._solve(
-                policy, struck, (delassus, velocity, friction, surface), e, sources, by_steps
+                policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy
             )
         except UnstoppableApproachError:
             # what is closed may approach along what nothing moves, by the error of steps: that is none
@@ -243,7 +247,7 @@ class SceneImpacts:
                 raise
             velocity = np.where(rests, 0.0, velocity)
             solved = self._solve(
-                policy, struck, (delassus, velocity, friction, surface), e, sources, by_steps
+                policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy
             )
         if refuse and not solved.solution.story.resolved:
             raise IrregularMotionError(f"{crowd} that is not resolved", value=len(chosen))
@@ -296,7 +300,8 @@ class SceneImpacts:
         e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
         numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
         try:
-            solved = self._solve("propagate", every, numbers, e, touching, not refuse)
+            accuracy = 0.0 if refuse else self._accuracy(velocity)
+            solved = self._solve("propagate", every, numbers, e, touching, accuracy)
         except UnstoppableApproachError:  # what neither forces nor impulses can hold
             return None
         if refuse and not solved.solution.story.resolved:
@@ -306,6 +311,11 @@ class SceneImpacts:
             return None
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
+
+    def _accuracy(self, velocity: Array) -> float:
+        """Return what adaptive steps may miss of velocities (n, 3), in parts of the largest."""
+        missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
+        return min(max(AGREE, self._dynamics.work.rtol, missed), LITTLE)
 
     def islands(self, contacts: Integers) -> int:
         """Return how many islands of trees of joints contacts connect; the world connects nothing."""
@@ -341,7 +351,7 @@ class SceneImpacts:
         numbers: tuple[Array, Array, Array, Array],
         e: Sequence[float],
         sources: Sequence[int],
-        by_steps: bool = True,
+        accuracy: float,
     ) -> Solved:
         """Solve an impact at many contacts; modes let rest what bounces slower than the resting speed.
 
@@ -351,7 +361,7 @@ class SceneImpacts:
             numbers: Delassus matrix, velocities, friction and velocities of the surfaces.
             e: Restitution.
             sources: Their numbers.
-            by_steps: Whether waves are integrated by adaptive steps where need be.
+            accuracy: What adaptive steps through waves may miss; 0: these are not integrated by steps.
         """
         delassus, velocity, friction, surface = numbers
         stiffness = _stiffness(struck, delassus)
@@ -361,7 +371,7 @@ class SceneImpacts:
         restitution = np.array(e)
         # the robot's own numbers need no check
         inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
-        options = {} if by_steps or name != "propagate" else {"by_steps": False}
+        options = {"accuracy": accuracy} if name == "propagate" else {}
         solution = policy.run(inputs, False, **options)
         pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
         slowest = [self._resting_speed / self._metres(i) for i in sources]
@@ -372,7 +382,7 @@ class SceneImpacts:
         problem = ImpactProblem(
             *(delassus, velocity, friction, restitution, law, surface), stiffness=stiffness
         )
-        return Solved(solution, resting, ImpactGroup(problem, name))
+        return Solved(solution, resting, ImpactGroup(problem, name, options))
 
     def _metres(self, i: int) -> float:
         """Return the metres per unit of a row: 1 of a contact, see `joint_metres` for a limit."""

@@ -475,7 +475,7 @@ class TimeStepping(Integrator):
         self._faces.place(state.q, state.v, 0.0, touching=touching)
         if taken is not None:
             taken.struck = self._faces.corners()
-        self.instant.collide(touching, max(self.work.resting_speed, slowest))
+        self.instant.collide(touching, max(self.work.resting_speed, slowest), self._dt * self._gravity)
         if len(self.record.impacts) > before:
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)

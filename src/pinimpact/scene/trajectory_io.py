@@ -90,10 +90,8 @@ def _impacts_in_words(impacts: Sequence[ImpactRecord]) -> dict[str, Any]:
             for i in impacts
         ],
         "groups": [{name: _plain(getattr(group.problem, name)) for name in GROUP} for group in groups],
-        "in_group": [
-            None if i.group is None else [groups.index(i.group[0]), i.group[1], i.group[0].policy]
-            for i in impacts
-        ],
+        "policies": [[group.policy, dict(group.options)] for group in groups],
+        "in_group": [None if i.group is None else [groups.index(i.group[0]), i.group[1]] for i in impacts],
     }
 
 
@@ -184,10 +182,9 @@ def _segments(arrays: Mapping[str, Any]) -> list[DenseStep]:
 
 def _impacts(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> list[ImpactRecord]:
     points, in_group = meta["points"], meta["in_group"]
-    policies = {place[0]: place[2] for place in in_group if place is not None}
     groups = [
-        ImpactGroup(ImpactProblem(**{name: _numbers(value) for name, value in group.items()}), policies[k])
-        for k, group in enumerate(meta["groups"])
+        ImpactGroup(ImpactProblem(**{name: _numbers(value) for name, value in problem.items()}), *how)
+        for problem, how in zip(meta["groups"], meta["policies"], strict=True)
     ]
     scales, factors = arrays["impact_scale"], arrays["impact_factor"]
     return [

@@ -38,7 +38,7 @@ def propagate(
         stiffness: (n,) κ.
         exponent: η, 1 or 3/2.
         accuracy: Part of the velocities that a step may miss.
-        most_steps: A bound.
+        most_steps: A bound on the steps from one event to the next.
         v: (3n,) takes the velocities after it.
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.

@@ -87,7 +87,7 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
                     counts[POINT] = record(path, counts[POINT], clock, state)
                 return ended
             apart, check = 0.0, 2 * counts[EVENT]
-        if counts[STEP] >= most_steps or counts[EVENT] >= MOST_EVENTS * n:
+        if counts[ENDED] == 2 or counts[EVENT] >= MOST_EVENTS * n:
             counts[ENDED] = 2
             return True
         if not presses:
@@ -134,14 +134,17 @@ def _go_to_event(
     """
     unknown, inverse, weight = forces
     roots, guard, work = scratch
-    turns = _presses_and_slips(state)
+    turns, most = _presses_and_slips(state), counts[STEP] + most_steps
     while True:
         answer_signals()
         if turns:
             unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
         h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)
+        counts[STEP] += 1
+        if counts[STEP] > most:
+            counts[ENDED] = 2
+            return at_once, clock
         if _begins_badly(state, series, h):
-            counts[STEP] += 1
             continue
         if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
             _loaded_ends(state)
@@ -157,13 +160,9 @@ def _go_to_event(
             if path.shape[0] > 0:
                 counts[POINT] = record_step(path, counts[POINT], clock, series, state, h, degree, pace, root)
             clock += time_power(NONE_YET, h, pace, root)
-        counts[STEP] += 1
-        if first <= h or counts[STEP] >= most_steps:
-            break
-    if first <= h:
-        at_once += 1
-        apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
-    return at_once, clock
+        if first <= h:
+            apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
+            return at_once + 1, clock
 
 
 @inlined

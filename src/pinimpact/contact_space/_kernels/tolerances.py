@@ -90,7 +90,8 @@ MISSED = 1e-6
 largest velocity that an approach may keep after a plastic impact, where forces are large."""
 
 AGREE = 0.1 * MISSED
-"""Part of the largest velocity to which two passes agree at the end, and that a step may miss at the most."""
+"""Part of the largest velocity to which two passes agree at the end, and that a step may miss at the most;
+unless less is asked. A step may miss `LITTLE` of it at first."""
 
-STEP_ACCURACY, FINEST = SLOW, 2.0 * NOISE
-"""The same that a step may miss at first, and at least."""
+FINEST = 2.0 * NOISE
+"""What a step may miss at least."""
