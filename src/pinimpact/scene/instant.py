@@ -193,36 +193,39 @@ class Instant:
         if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch")
 
-    def collide(self, touching: float, slowest: float, unresolved: float) -> None:
+    def collide(self, touching: float, slowest: float, unresolved: float, pressed: Bools | bool) -> None:
         """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.
+
+        What parts is open, and takes no part in impacts of others, unless a step presses it: rates of what
+        stays closed vanish only at the ends of steps.
 
         Args:
             touching: The distance [m].
             slowest: The speed [m/s].
             unresolved: See `SceneImpacts`.
+            pressed: (n + nl,) which contacts and limits the step that ends here presses; False: none.
         """
         self._hit[:] = False
         self._impacts.unresolved = unresolved
         resolved: list[dict[str, Any]] = []
+        parting: Array | None = None
         while self.names:
-            near, i, rate = self.approach(self.state.q, self.state.v, touching)
-            if rate >= -slowest:
+            rates = self.approach(self.state.q, self.state.v, touching)
+            i = int(np.argmin(rates))
+            if rates[i] >= -slowest:
                 break
-            self._where[:] = np.where(near, ARRIVING, APART)
-            resolved += self._strike(i, -rate, resolved)
+            if parting is None:
+                parting = np.maximum(self.dynamics.work.resting_speed, np.where(pressed, rates, 0.0))
+            self._where[:] = np.where((rates <= parting) & np.isfinite(rates), ARRIVING, APART)
+            resolved += self._strike(i, -float(rates[i]), resolved)
         self._keep(resolved)
 
-    def approach(self, q: Array, v: Array, touching: float) -> tuple[Bools, int, float]:
-        """Return what is nearer than a distance [m] in a state, which of it approaches fastest, and its rate.
-
-        The rate [m/s] is infinite if nothing is.
-        """
+    def approach(self, q: Array, v: Array, touching: float) -> Array:
+        """Return the rates (n + nl,) of what is nearer than a distance [m] in a state; of others infinity."""
         gaps, rates = self.dynamics.gaps_at(q, v).T
         near = gaps <= touching
         near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
-        rates = np.where(near, rates, math.inf)
-        i = int(np.argmin(rates))
-        return near, i, float(rates[i])
+        return np.where(near, rates, math.inf)
 
     def _without_forces(self, v: Array, jammed: int) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.

@@ -201,7 +201,9 @@ class TimeStepping(Integrator):
             if step.taken is not None:
                 touches = closing & (found.gaps_at(share, h, rows) <= within)
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
-            self._collide(slowest, within, step.taken)
+            pressed = np.zeros(len(self._near), dtype=bool)
+            pressed[rows.near(self.work.contacts)] = found.impulse[rows.normals] > 0.0
+            self._collide(slowest, within, step.taken, pressed)
             return CUT
         active = ~found.arrives
         moved = self._no_change
@@ -459,23 +461,31 @@ class TimeStepping(Integrator):
         """Return whether anything collides in a state; arguments are those of `_collide`."""
         touching = max(self._touching, within)
         self._faces.place(q, v, 0.0, touching=touching)
-        rate = self.instant.approach(q, v, touching)[2]
-        return rate < -max(self.work.resting_speed, slowest)
+        rates = self.instant.approach(q, v, touching)
+        return bool((rates < -max(self.work.resting_speed, slowest)).any())
 
-    def _collide(self, slowest: float = 0.0, within: float = 0.0, taken: StepTaken | None = None) -> None:
+    def _collide(
+        self,
+        slowest: float = 0.0,
+        within: float = 0.0,
+        taken: StepTaken | None = None,
+        pressed: NDArray[np.bool_] | bool = False,
+    ) -> None:
         """Resolve the impacts of this instant.
 
         Args:
             slowest: Speed of approach above which what touches collides [m/s]; at least the resting speed.
             within: The gap up to which it touches [m]; at least the tolerance of touching.
             taken: The step that ends here, which is to be differentiated.
+            pressed: See `Instant.collide`.
         """
         state, touching = self.state, max(self._touching, within)
         before = len(self.record.impacts)
         self._faces.place(state.q, state.v, 0.0, touching=touching)
         if taken is not None:
             taken.struck = self._faces.corners()
-        self.instant.collide(touching, max(self.work.resting_speed, slowest), self._dt * self._gravity)
+        slowest = max(self.work.resting_speed, slowest)
+        self.instant.collide(touching, slowest, self._dt * self._gravity, pressed)
         if len(self.record.impacts) > before:
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)
