@@ -124,3 +124,33 @@ def test_a_face_that_pushes_a_sliding_box_bears_what_its_friction_can(scheme, kn
     )
     slowed = mu * 2.0 * G / (3.0 + mu * between) * t
     assert run.v[-1][:2] == pytest.approx(0.3 - slowed, abs=known * slowed)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+@pytest.mark.parametrize("length", [1.0, 1000.0])
+def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, speed, length):
+    """An arm on a rail, whose hinge dry friction holds and whose end lies on a floor, at rest or sliding.
+
+    A force F at the end and τ at the hinge balance the weight, F L + τ = m g L/2. Equal springs share it as
+    F² + (τ/ρ)² is least, ρ the radius of gyration about the hinge, whatever the unit of length.
+    """
+    model = pin.Model()
+    rail = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
+    hinge = model.addJoint(rail, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    arm = pin.Inertia(1.0, np.array([0.5 * length, 0.0, 0.0]), 0.1 * length**2 * np.eye(3))
+    model.appendBodyToJoint(hinge, arm, pin.SE3.Identity())
+    end = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+    model.addFrame(pin.Frame("end", hinge, 0, end, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction = np.array([0.0, 30.0 * length**2])
+    model.gravity.linear[:] = 0.0, 0.0, -G * length
+    start, t = np.array([speed * length, 0.0]), 0.1
+    scene = Scene(model, [Contact("end", Plane(), friction=MU, name="end")])
+    run = simulate(scene, np.zeros(2), start, t, scheme=scheme, atol=1e-10 * length)
+    square = 0.1 + 0.25  # of ρ/L
+    force = 0.5 * G / (1.0 + square)
+    assert run.forces("end", 0.5 * t)[2] / length == pytest.approx(force, rel=3e-5)
+    assert run.joint_forces([0.5 * t])[0, 1] / length**2 == pytest.approx(-force * square, rel=3e-5)
+    gone = speed * t - (0.5 * MU * force * t**2 if speed else 0.0)
+    assert run.q[-1, 0] / length == pytest.approx(gone, abs=1e-7)

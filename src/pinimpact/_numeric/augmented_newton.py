@@ -62,7 +62,7 @@ class VelocityProblem(NamedTuple):
     friction: Floats  # (nc,) coefficients of friction
     lower: Floats  # (ns,) lower bounds of scalar impulses
     upper: Floats  # (ns,) upper bounds of scalar impulses
-    compliance: Floats  # (nc,) of the contacts, up to a factor
+    compliance: Floats  # (nc + ns,) of contacts and scalar rows, up to a factor; without contacts not needed
 
 
 class Iterate(NamedTuple):
@@ -259,8 +259,8 @@ def find_profile(problem, first, last):
 @external
 def fill_compliances(problem, part, diagonal, given):
     """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
-    _, inverse, _, values, columns, counts, _, _, _, _, compliance = problem
-    nc, softest, largest = len(compliance), 0.0, 0.0
+    _, inverse, _, values, columns, counts, _, friction, _, _, compliance = problem
+    nc, softest, largest = len(friction), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
         for k in range(counts[a]):
@@ -273,9 +273,9 @@ def fill_compliances(problem, part, diagonal, given):
         j = 3 * i
         diagonal[j] = diagonal[j + 1] = diagonal[j + 2] = max(diagonal[j], diagonal[j + 1], diagonal[j + 2])
         largest, softest = max(largest, diagonal[j]), max(softest, compliance[i])
-    for i in range(nc):
-        for a in range(3 * i, 3 * i + 3):
-            given[a] = part * largest * compliance[i] / softest
+    for a in range(len(given) if nc > 0 else 0):
+        item = a // 3 if a < 3 * nc else a - 2 * nc
+        given[a] = part * largest * compliance[item] / softest
 
 
 @inlined

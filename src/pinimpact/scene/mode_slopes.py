@@ -60,7 +60,6 @@ class SlopesWithin(NamedTuple):
 
     Attributes:
         unique: Whether the motion determines λ.
-        touching: How many components of λ are those of contacts; they are the first ones.
     """
 
     by_state: Array
@@ -70,7 +69,6 @@ class SlopesWithin(NamedTuple):
     turning: Array
     moved: Array
     unique: bool
-    touching: int
 
 
 class SlopesOfModes:
@@ -124,8 +122,7 @@ class SlopesOfModes:
             *(*known, step.closed is None, inside),
         )
         self.dynamics.check()
-        work = self.dynamics.work
-        return SlopesWithin(*(*found, known[1], work.active_rows - work.active_scalars))
+        return SlopesWithin(*found, known[1])
 
     def _set(self, step: DenseStep) -> tuple[Array, bool, Array]:
         """Set the modes of a step; return directions of slip at its ends, and what is known of its forces."""

@@ -279,7 +279,7 @@ def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> 
     for i in range(stages):
         left, sizes, _ = np.linalg.svd(nodes.by_state[i, nv:, nv:] @ nodes.response[i])
         null = left[:, sizes <= RANK * sizes[0]]
-        shares[i, :, i, : nodes.touching] = moved.max() * (null @ null.T)[:, : nodes.touching]
+        shares[i, :, i] = moved.max() * null @ null.T
     known = np.isfinite(velocities).all(axis=0)
     found, right = np.full_like(velocities, np.nan), np.zeros((2 * size, int(known.sum())))
     right[:size] = velocities[:, known]

@@ -34,14 +34,15 @@ def scalar_rows(work, chosen):
 def scalar_row(work, j, chosen):
     """Return velocity index and bounds of the force of a joint limit, past those of a joint held at rest.
 
-    Where both hold the joint it is their sum that has bounds.
+    Where both hold the joint it is their sum that has bounds [N]: rows are in metres, see `joint_metres`.
     """
     limits = work.limits
     if j >= limits:
         j -= limits
-        return j, -work.dry_friction[j], work.dry_friction[j]
+        friction = work.dry_friction[j] / work.joint_metres[j]
+        return j, -friction, friction
     sign, i = work.limit_sign[j], work.limit_v[j]
-    friction = work.dry_friction[i] if chosen[limits + i] != 0 else 0.0
+    friction = work.dry_friction[i] / work.joint_metres[i] if chosen[limits + i] != 0 else 0.0
     return i, -math.inf if sign < 0.0 else -friction, math.inf if sign > 0.0 else friction
 
 

@@ -98,11 +98,12 @@ def set_up_equations(work, acceleration):
                 target[m] = -free[i, d]
                 m += 1
     for i in range(len(index)):
+        metres = work.joint_metres[index[i]]
         for j in range(n):
             rows[m, j] = 0.0
-            response[m, j] = minverse[j, index[i]]
-        rows[m, index[i]] = 1.0
-        target[m] = -acceleration[index[i]]
+            response[m, j] = metres * minverse[j, index[i]]
+        rows[m, index[i]] = metres
+        target[m] = -metres * acceleration[index[i]]
         m += 1
     products(rows, response, system)
     largest = 0.0
@@ -229,9 +230,9 @@ def solve_least_norm(work):
             right[a] -= system[a, b] * known[b]
     work.rank_tolerance = SINGULAR_STILL
     unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
-    shares, touching = not unique and rubs(work), size - len(work.scalar_velocity)
+    shares = not unique and rubs(work)
     if shares:
-        share_by_compliances(system, SINGULAR_STILL, touching, solution)
+        share_by_compliances(system, SINGULAR_STILL, solution)
     for a in range(size):
         solution[a] += known[a]
     off = missed_by(work, solution)
@@ -268,7 +269,7 @@ def solve_least_norm(work):
             for a in range(size):
                 for b in range(size):
                     columns[a, b] *= pushes[a]
-            share_by_compliances(columns, work.rank_tolerance, touching, part)
+            share_by_compliances(columns, work.rank_tolerance, part)
         for a in range(size):
             trial[a] = part[a] + known[a] if pushes[a] else 0.0
         if not missed_by(work, trial) <= NEGLIGIBLE:
@@ -276,11 +277,10 @@ def solve_least_norm(work):
 
 
 @external
-def share_by_compliances(system, rank_tolerance, touching, x):
-    """Take a solution x (n,) of A x = b, A singular, to the limit of (A + ε C) x = b, ε → 0. (11.12)
+def share_by_compliances(system, rank_tolerance, x):
+    """Take a solution x (n,) of A x = b, A singular, to the limit of (A + ε 1) x = b, ε → 0. (11.12)
 
-    C is 1 for the rows of contacts, the first ones, `touching` in number, and 0 for stops and joints. With
-    Lᵀ A = 0 and A N = 0 it is the one with Lᵀ C x = 0; x stays as it is where Lᵀ C N is singular.
+    With Lᵀ A = 0 and A N = 0 it is the one with Lᵀ x = 0; x stays as it is where Lᵀ N is singular.
     """
     size = len(x)
     nothing, found = np.empty((0, size)), np.empty((0, size))
@@ -290,9 +290,9 @@ def share_by_compliances(system, rank_tolerance, touching, x):
         return
     overlap, off, part = np.empty((free, free)), np.empty(free), np.empty(free)
     for a in range(free):
-        off[a] = -dot(left_null[a, :touching], x[:touching])
+        off[a] = -dot(left_null[a], x)
         for b in range(free):
-            overlap[a, b] = dot(left_null[a, :touching], right_null[b, :touching])
+            overlap[a, b] = dot(left_null[a], right_null[b])
     if solve(overlap, off, part, RANK) == 0:
         return
     for a in range(free):
@@ -370,8 +370,8 @@ def apply_forces(work, acceleration, powers):
             rubbed += force[i, d] * velocity[i, d]
             carried += force[i, d] * surface[i, d]
     for i in range(len(lower)):
-        scalar[i] = solution[m]
-        margin = min(margin, scalar[i] - lower[i], upper[i] - scalar[i])
+        scalar[i] = work.joint_metres[work.scalar_velocity[i]] * solution[m]
+        margin = min(margin, solution[m] - lower[i], upper[i] - solution[m])
         m += 1
     powers[0], powers[1] = rubbed, carried
     return margin

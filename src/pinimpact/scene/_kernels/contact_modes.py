@@ -243,8 +243,7 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     """Stop the rows that come to rest; see `come_to_rest`, whose values it returns.
 
     Args:
-        what: What is `Touching`; rows of contacts that begin to slip turn to their directions, and those of
-            joints become metres.
+        what: What is `Touching`; rows of contacts that begin to slip turn to their directions.
         candidates: As in `find_modes`.
         start: (m,) velocities of the rows [m/s], which turn likewise.
         stopped: (m,) which of them vanish.
@@ -264,7 +263,6 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
             turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
             stopped[b], against[b] = False, -1.0
     for m in range(len(joints)):
-        rows[closed + m, scalars[m]] = work.joint_metres[scalars[m]]
         touches = candidates[work.contacts + joints[m]] == TOUCHES
         moves[closed + m] = joints[m] >= work.limits and touches
     limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed

@@ -220,7 +220,7 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
     """
     contacts, held, limits, dry, values, columns, counts, _, gap = rows
     nc, every, n = len(contacts), len(contacts) + len(held), len(free)
-    friction, compliance, active = np.empty(nc), np.empty(nc), flags(n - 2 * nc, True)
+    friction, compliance, active = np.empty(nc), np.ones(n - 2 * nc), flags(n - 2 * nc, True)
     for i in range(nc):
         friction[i], compliance[i] = work.friction[contacts[i]], system.compliances[contacts[i]]
     for i in range(nc + len(limits)):
@@ -236,6 +236,8 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
         elif a >= 3 * every:
             lower[k] = 0.0
             free[a] += closing_speed(gap[a - 2 * every], slow, h)
+        if a >= 3 * every:
+            compliance[nc + k] = system.compliances[work.contacts + columns[a, 0]]
     for i in range(every):
         free[3 * i + 2] += closing_speed(gap[i], slow, h) if i < nc else gap[i] / h
     problem = VelocityProblem(

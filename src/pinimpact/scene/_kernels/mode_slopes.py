@@ -234,9 +234,10 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
             for j in range(nv):
                 by_state[i, nv + j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
     for j in work.scalar_velocity:
-        by_state[row, nv + j] = 1.0
+        metres = work.joint_metres[j]
+        by_state[row, nv + j] = metres
         for i in range(nv):
-            response[i, row - nv] = inverse[i, j]
+            response[i, row - nv] = metres * inverse[i, j]
         row += 1
 
 

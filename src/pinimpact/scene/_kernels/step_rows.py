@@ -71,7 +71,7 @@ class StepSystem(NamedTuple):
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
-        compliances: (n,) of all contacts.
+        compliances: (n + nv,) of all contacts, and of stops and dry friction by their velocities.
     """
 
     mass: FloatRows

@@ -37,8 +37,8 @@ class Touching(NamedTuple):
         slip: (nc, 2) velocities of sliding contacts [m/s], zero where a contact may stick.
         mu: (nc,) friction coefficients.
         held: (nc,) True for bilateral contacts.
-        lower: (ns,) lower bounds of scalar forces.
-        upper: (ns,) upper bounds.
+        lower: (ns,) lower bounds of scalar forces [N].
+        upper: (ns,) upper bounds [N].
     """
 
     contacts: Integers
@@ -76,8 +76,9 @@ def rows_of_touching(work, v, candidates, certain):
     scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
     for m in range(ns):
         scalars[m], lower[m], upper[m] = scalar_row(work, joints[m], scalar)
-        rows[3 * nc + m, scalars[m]] = 1.0
-        free[3 * nc + m] = work.acceleration[scalars[m]]
+        metres = work.joint_metres[scalars[m]]
+        rows[3 * nc + m, scalars[m]] = metres
+        free[3 * nc + m] = metres * work.acceleration[scalars[m]]
     return Touching(contacts, joints, scalars, rows, velocity, free, slip, mu, held, lower, upper)
 
 

@@ -98,8 +98,8 @@ class SceneWorkspace(Workspace):
     start_directions = reals("active_contacts", 2, meaning="the same at the start of the step")
     end_directions = reals("active_contacts", 2, meaning="the same at its end")
     scalar_velocity = integers("active_scalars", meaning="index in v of each scalar row")
-    scalar_lower = reals("active_scalars", meaning="least force of each scalar row")
-    scalar_upper = reals("active_scalars", meaning="largest force of each scalar row")
+    scalar_lower = reals("active_scalars", meaning="least force of each scalar row [N]")
+    scalar_upper = reals("active_scalars", meaning="largest force of each scalar row [N]")
 
     # what an evaluation leaves of it
     contact_jacobian = reals("active_contacts", 3, "nv", meaning="in contact axes t₁, t₂, n")
@@ -108,7 +108,7 @@ class SceneWorkspace(Workspace):
     surface_velocity = reals("active_contacts", 3, meaning="of the surfaces, beyond their carriers' [m/s]")
     contact_gap = reals("active_contacts", meaning="[m]")
     slip_direction = reals("active_contacts", 2, meaning="of friction")
-    equation_rows = reals("active_rows", "nv", meaning="whose acceleration is zero")
+    equation_rows = reals("active_rows", "nv", meaning="whose acceleration [m/s²] is zero")
     force_response = reals("active_rows", "nv", meaning="v̇ for a unit of each force")
     system = reals("active_rows", "active_rows", meaning="equations of the forces")
     target = reals("active_rows", meaning="their right-hand side")
