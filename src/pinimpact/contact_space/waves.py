@@ -28,12 +28,12 @@ MOST_STEPS = 3000
 
 
 def propagate_waves(
-    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = AGREE
+    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = MISSED
 ) -> ManySolution:
     """Follow the waves of an impact, with forces F ∝ δ^exponent and series to a relative accuracy `rtol`.
 
-    Where events cannot be followed one by one it is integrated by adaptive steps, with velocities to a part
-    `accuracy` of the largest, or, where that is zero, taken as plastic.
+    Where events cannot be followed one by one it is integrated by adaptive steps, in passes whose velocities
+    differ by a part `accuracy` of the largest, or, where that is zero, taken as plastic.
     """
     from ._kernels.propagation import propagate
 
@@ -108,7 +108,7 @@ e = 0, at most."""
 def _propagate_in_steps(
     inputs: ManyInputs, exponent: float, record: bool, asked: float
 ) -> ManySolution | None:
-    """Follow waves by adaptive steps, to an accuracy; None where they do not come to an end."""
+    """Follow waves by adaptive steps, to what is asked; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
     by_steps, steps, accuracy, rows = np.inf, 0, LITTLE * asked, _rows_of(inputs.delassus)
@@ -127,7 +127,7 @@ def _propagate_in_steps(
         if before is not None:  # what two extrapolations differ by
             change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
             missed = max(by_steps, change)
-            if k > 1 and (change <= max(by_steps, asked) or steps > SPENT):
+            if k > 1 and (change <= max(by_steps, AGREE, 0.1 * asked) or steps > SPENT):
                 break
     if numbers is None:
         return None
@@ -153,7 +153,7 @@ def _propagate_in_steps(
         *(inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0)),
         notes=(*notes_on_law(inputs), text),
         path=story,
-        bounded=missed > MISSED / AGREE * asked,
+        bounded=missed > max(MISSED, asked),
     )
 
 
@@ -176,7 +176,7 @@ def _passes(
         inputs: The impact.
         exponent: Of its forces.
         rows: (3n, r) J with W = J Jᵀ.
-        asked: By how much they may differ at the end.
+        asked: By how much they may differ at the end; the last one misses about a tenth of that.
         accuracy: Of the first pass; a coarser one takes its place where it takes too many steps.
         missed: What that is known to miss, of a nearly equal impact; then one pass is enough.
 
@@ -189,7 +189,7 @@ def _passes(
     if steps > 0 and missed < np.inf:
         return best, missed, steps, accuracy
     finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
-    while steps == 0 and accuracy < asked:
+    while steps == 0 and accuracy < max(AGREE, 0.1 * asked):
         accuracy *= 10.0
         steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
         total += steps or MOST_SHORT_STEPS

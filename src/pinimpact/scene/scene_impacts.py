@@ -13,7 +13,6 @@ import pinocchio as pin
 
 from .._numeric.tolerances import LITTLE, RANK, TINY
 from ..arrays import Array, Bools, Integers
-from ..contact_space._kernels.tolerances import AGREE
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -313,9 +312,12 @@ class SceneImpacts:
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
     def _accuracy(self, velocity: Array) -> float:
-        """Return what adaptive steps may miss of velocities (n, 3), in parts of the largest."""
+        """Return by how much passes by steps may differ in velocities (n, 3), in parts of the largest.
+
+        Their steps miss `LITTLE` of that, and the last pass some ten steps' worth.
+        """
         missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
-        return min(max(AGREE, self._dynamics.work.rtol, missed), LITTLE)
+        return min(max(0.1 / LITTLE * self._dynamics.work.rtol, missed), LITTLE)
 
     def islands(self, contacts: Integers) -> int:
         """Return how many islands of trees of joints contacts connect; the world connects nothing."""
