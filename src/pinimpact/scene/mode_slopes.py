@@ -122,7 +122,7 @@ class SlopesOfModes:
             *(*known, step.closed is None, inside),
         )
         self.dynamics.check()
-        return SlopesWithin(*found, known[1])
+        return SlopesWithin(*(*found, known[1]))
 
     def _set(self, step: DenseStep) -> tuple[Array, bool, Array]:
         """Set the modes of a step; return directions of slip at its ends, and what is known of its forces."""
