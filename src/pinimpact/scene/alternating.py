@@ -174,7 +174,7 @@ class Alternating(TimeStepping):
         if not (state.stepped and state.stepped[-1].end == state.t):
             state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(refusal), 0.0),)
         self._set_crossing(True)
-        state.entering = True
+        state.entering, self._dt = True, state.coarse
         state.islands = state.resting_forces = state.warm_start = None
         self.shapes.clear()
         self._prepare_steps()
