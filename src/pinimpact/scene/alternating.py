@@ -52,6 +52,7 @@ class Alternating(TimeStepping):
         self._longest = min(dt, self.time_scale / STEPS_PER_SCALE)
         if state.coarse == 0.0:
             state.coarse = dt
+        self._dt = state.coarse
         self._set_crossing(state.crossing)
         if state.crossing:
             self._prepare_steps()
@@ -170,7 +171,7 @@ class Alternating(TimeStepping):
         else:
             state.coarse = self._longest / SHORTER
             state.interval = CHUNK * state.coarse
-        state.until = state.t + state.interval
+        state.until, self._dt = state.t + state.interval, state.coarse
         if not (state.stepped and state.stepped[-1].end == state.t):
             state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(refusal), 0.0),)
         self._set_crossing(True)
