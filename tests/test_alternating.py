@@ -308,3 +308,21 @@ def test_impacts_of_a_pile_that_are_not_resolved_are_crossed():
     run = automatic(boxes(10, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(60), 0.18)
     assert any("not resolved" in one.reason for one in run.stepped)
     assert not any("plastic" in note.text for note in run.notes)
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning", "ignore::pinimpact.BoundReachedWarning")
+def test_a_crossing_may_begin_with_an_impact():
+    # boxes that rattle on each other: events accumulate as one is about to arrive; no impact creates energy
+    scene = boxes(3, (0.1, 0.1, 0.1), 1.0, restitution=0.5)
+    q = []
+    for k in range(3):
+        turn = pin.Quaternion(pin.exp3(np.array([0.02 * (k + 1), 0.01, 0.1 * k])))
+        q += [0.003 * k, 0.0, 0.07 + 0.11 * k, *turn.coeffs()]
+    run = simulate(scene, np.array(q), np.zeros(18), 0.1)
+    assert run.stepped
+    started = run.stepped[0].start
+    first = [impact for impact in run.impacts if impact.time == started]
+    assert first
+    mass = pin.crba(scene.model, scene.model.createData(), first[0].q)
+    assert first[0].v_after @ mass @ first[0].v_after < first[0].v_before @ mass @ first[0].v_before
+    assert np.diff(run.energy.total).max() < 1e-6 * run.energy.total[0]

@@ -171,7 +171,7 @@ class Alternating(TimeStepping):
         else:
             state.coarse = self._longest / SHORTER
             state.interval = CHUNK * state.coarse
-        state.until, self._dt = state.t + state.interval, state.coarse
+        state.until = state.t + state.interval
         if not (state.stepped and state.stepped[-1].end == state.t):
             state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(refusal), 0.0),)
         self._set_crossing(True)
