@@ -129,8 +129,9 @@ def test_a_face_that_pushes_a_sliding_box_bears_what_its_friction_can(scheme, kn
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("speed", [0.0, 2.0])
 @pytest.mark.parametrize("length", [1.0, 1000.0])
-def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, speed, length):
-    """An arm on a rail, whose hinge dry friction holds and whose end lies on a floor, at rest or sliding.
+@pytest.mark.parametrize("by_stop", [False, True])
+def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, speed, length, by_stop):
+    """An arm on a rail, whose hinge dry friction or a stop holds and whose end slides or rests on a floor.
 
     A force F at the end and τ at the hinge balance the weight, F L + τ = m g L/2. Equal springs share it as
     F² + (τ/ρ)² is least, ρ the radius of gyration about the hinge, whatever the unit of length.
@@ -143,7 +144,10 @@ def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, spee
     end = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
     model.addFrame(pin.Frame("end", hinge, 0, end, pin.FrameType.OP_FRAME))
     unbounded(model)
-    model.friction = np.array([0.0, 30.0 * length**2])
+    if by_stop:
+        model.upperPositionLimit[1] = 0.0
+    else:
+        model.friction = np.array([0.0, 30.0 * length**2])
     model.gravity.linear[:] = 0.0, 0.0, -G * length
     start, t = np.array([speed * length, 0.0]), 0.1
     scene = Scene(model, [Contact("end", Plane(), friction=MU, name="end")])

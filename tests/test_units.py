@@ -12,6 +12,7 @@ import pinimpact
 from pinimpact import Contact, Plane, Scene, Sphere
 from pinimpact.scene.joint_metres import gyration, metres_per_unit
 from tests.scene_models import UP, unbounded
+from tests.test_time_stepping import boxes
 
 SCHEMES = "event-driven", "time-stepping"
 
@@ -76,6 +77,29 @@ def test_the_same_scene_in_other_units_moves_likewise(scheme, units):
     assert hits == others
     assert q_other == pytest.approx(q, abs=1e-7)
     assert v_other == pytest.approx(v, abs=1e-6)
+
+
+def pile(m, kg, s):
+    """Three boxes above each other, turned a little, and units of q and v."""
+    scene = boxes(3, 0.2 * m * np.array([1.0, 0.8, 0.5]), kg, restitution=0.2)
+    scene.model.gravity.linear = np.array([0.0, 0.0, -9.81]) * m / s**2
+    by_q, by_v = np.tile([m, m, m, 1, 1, 1, 1], 3), np.tile([m / s] * 3 + [1.0 / s] * 3, 3)
+    turns = [pin.exp3(np.array(turn)) for turn in ((0.1, 0.0, 0.0), (0.0, -0.05, 0.3), (-0.1, 0.1, 0.0))]
+    q0 = [[0.02 * k, 0, 0.08 + 0.15 * k, *pin.Quaternion(turn).coeffs()] for k, turn in enumerate(turns)]
+    return scene, np.ravel(q0) * by_q, np.zeros(18), by_q, by_v
+
+
+@pytest.mark.parametrize("made", [arm_and_ball, pile])
+@pytest.mark.parametrize("units", [(2.0**-10, 1.0, 1.0), (2.0**10, 2.0**-30, 2.0**5)])
+def test_time_steps_are_the_same_to_the_bit_in_units_that_are_powers_of_two(made, units):
+    """So no norm or tolerance adds up what has different units."""
+    found = []
+    for m, kg, s in ((1.0, 1.0, 1.0), units):
+        scene, q0, v0, by_q, by_v = made(m, kg, s)
+        run = pinimpact.simulate(scene, q0, v0, 0.4 * s, scheme="time-stepping", dt=2e-3 * s)
+        found.append((run.q[-1] / by_q, run.v[-1] / by_v, len(run.impacts)))
+    for there, here in zip(*found, strict=True):
+        np.testing.assert_array_equal(there, here)
 
 
 @pytest.mark.parametrize(

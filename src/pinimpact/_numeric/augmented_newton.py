@@ -62,7 +62,7 @@ class VelocityProblem(NamedTuple):
     friction: Floats  # (nc,) coefficients of friction
     lower: Floats  # (ns,) lower bounds of scalar impulses
     upper: Floats  # (ns,) upper bounds of scalar impulses
-    compliance: Floats  # (nc + ns,) of contacts and scalar rows, up to a factor; without contacts not needed
+    compliance: Floats  # (nc,) of the contacts, where that of scalar rows is 1
 
 
 class Iterate(NamedTuple):
@@ -73,6 +73,7 @@ class Iterate(NamedTuple):
     f: Floats  # (n,) f⁺ of (16.3)
     momentum: Floats  # (m,) M w
     off: Floats  # (m,) M w − Jᵀ f⁺
+    scale: Floats  # (m,) 1/√M_aa, times which momenta are in one unit
 
 
 @inlined
@@ -177,12 +178,12 @@ def fill_system(problem, profile, r, u, before, coupled, system):
 
 @external
 def balance(problem, r, before, now):
-    """Fill u, f⁺, M w and M w − Jᵀ f⁺ of an `Iterate`; return the relative size of the last.
+    """Fill u, f⁺, M w and M w − Jᵀ f⁺ of an `Iterate`; return the relative size of the last, times 1/√M_aa.
 
     Other arguments are those of `fill_system`.
     """
     mass, _, start, values, columns, counts, free, mu, lower, upper, _ = problem
-    w, u, f, momentum, out = now
+    w, u, f, momentum, out, scale = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
@@ -191,15 +192,15 @@ def balance(problem, r, before, now):
     apply_within(mass, start, w, momentum)
     for a in range(len(out)):
         out[a] = momentum[a]
-        largest = max(largest, abs(out[a]))
+        largest = max(largest, scale[a] * abs(out[a]))
     for a in range(len(f)):
         if f[a] != 0.0:
             for k in range(counts[a]):
                 part = values[a, k] * f[a]
                 out[columns[a, k]] -= part
-                largest = max(largest, abs(part))
+                largest = max(largest, scale[columns[a, k]] * abs(part))
     for a in range(len(out)):
-        square += out[a] * out[a]
+        square += (scale[a] * out[a]) ** 2
     return math.sqrt(square) / max(largest, TINY)
 
 
@@ -259,8 +260,8 @@ def find_profile(problem, first, last):
 @external
 def fill_compliances(problem, part, diagonal, given):
     """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
-    _, inverse, _, values, columns, counts, _, friction, _, _, compliance = problem
-    nc, softest, largest = len(friction), 0.0, 0.0
+    _, inverse, _, values, columns, counts, _, _, _, _, compliance = problem
+    nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
         for k in range(counts[a]):
@@ -274,8 +275,7 @@ def fill_compliances(problem, part, diagonal, given):
         diagonal[j] = diagonal[j + 1] = diagonal[j + 2] = max(diagonal[j], diagonal[j + 1], diagonal[j + 2])
         largest, softest = max(largest, diagonal[j]), max(softest, compliance[i])
     for a in range(len(given) if nc > 0 else 0):
-        item = a // 3 if a < 3 * nc else a - 2 * nc
-        given[a] = part * largest * compliance[item] / softest
+        given[a] = part * largest * (compliance[a // 3] if a < 3 * nc else 1.0) / softest
 
 
 @inlined
@@ -316,7 +316,7 @@ def residual_of(problem, diagonal, x, now):
 
     It is W_aa|f⁺ − f|, with the diagonal (n,) of W as r; infinite if x (n,) is not finite.
     """
-    w, u, f, momentum, _ = now
+    w, u, f, momentum, _, _ = now
     values, columns, counts = problem.values, problem.columns, problem.counts
     for a in range(len(w)):
         momentum[a] = 0.0
@@ -359,7 +359,9 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
     diagonal, r, system = np.empty(n), np.empty(n), np.empty((m, m))
     fill_compliances(problem, part, diagonal, r)
     f = np.empty(n)
-    now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m))
+    now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m), np.empty(m))
+    for a in range(m):
+        now.scale[a] = 1.0 / math.sqrt(problem.mass[a, a])
     assign(w, begin)
     balanced = 0.1 * accuracy
     lowest, reached, finer, slow = math.inf, 1.0, False, 0

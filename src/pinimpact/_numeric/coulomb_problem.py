@@ -217,8 +217,8 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
 
     With W + ε C instead of W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's
     method converges to the nearest solution. Where the first is not found, those of larger ε lead to it, from
-    one to the next. C is diagonal, `compliance` (nc + ns,) for each contact's rows and each scalar row, up to
-    a factor; x should have the symmetry of the problem.
+    one to the next. C is diagonal, `compliance` (nc,) for each contact's rows and 1 for scalar rows, up to a
+    factor; x should have the symmetry of the problem.
     """
     size, unit = len(free), 0.0
     for a in range(3 * len(mu)):
@@ -243,11 +243,8 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
 @inlined
 def soften(delassus, unit, compliance, soft):
     """Fill the diagonal of W + ε C."""
-    size = len(soft)
-    contacts = (size - len(compliance)) // 2  # of three rows, where scalars have one
-    for a in range(size):
-        place = a // 3 if a < 3 * contacts else a - 2 * contacts
-        soft[a, a] = delassus[a, a] + unit * compliance[place]
+    for a in range(len(soft)):
+        soft[a, a] = delassus[a, a] + unit * (compliance[a // 3] if a < 3 * len(compliance) else 1.0)
 
 
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)

@@ -315,12 +315,6 @@ class SceneDynamics:
         """Return the largest of velocities v (nv,) [m/s], see `joint_metres`."""
         return float(np.abs(self.work.joint_metres * v).max(initial=0.0))
 
-    @property
-    def compliances(self) -> Array:
-        """(n + nv,) Those of contacts, and of stops and dry friction by their velocities. (11.12)"""
-        contacts = [1.0 / contact.stiffness for contact in self.contacts]
-        return np.concatenate([contacts, self.work.joint_metres**-2.0])
-
     def resolving_length(self) -> float:
         """Return the longest step that resolves how drives settle, which implicit steps need not.
 

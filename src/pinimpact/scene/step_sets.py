@@ -117,14 +117,14 @@ class _Sets:
             self.kept += [(row - 2, 0.0, OPEN, compliance), (row - 1, 0.0, OPEN, compliance)]
         self.kept.append((row, *closes, compliance))
 
-    def add_dry(self, row: int, bound: float, compliance: float) -> None:
+    def add_dry(self, row: int, bound: float) -> None:
         """Add a joint with dry friction, whose impulse has a bound."""
         impulse, speed = self.taken.found.impulse[row], abs(self.taken.found.u_end[row])
         sticks = abs(impulse) < (1.0 - TIED) * bound
         if not sticks and speed <= self.still:
             sticks = self.tie()
         if sticks:
-            self.kept.append((row, 0.0, OPEN, compliance))
+            self.kept.append((row, 0.0, OPEN, 1.0))
         else:
             self.bounds[row] = impulse / self.taken.h
 
@@ -138,7 +138,7 @@ def active_sets(
         taken: The step.
         friction: (n,) μ of all contacts.
         dry_friction: (nv,) of all joints.
-        compliances: (n + nv,) of all contacts, and of stops and dry friction by their velocities.
+        compliances: (n,) of all contacts.
         otherwise: Whether ties are decided the other way.
     """
     rows, sets = taken.rows, _Sets(taken, otherwise)
@@ -149,13 +149,13 @@ def active_sets(
     for k in range(nc, nc + nh):
         sets.kept += [(3 * k, 0.0, OPEN, 1.0), (3 * k + 1, 0.0, OPEN, 1.0)]
         sets.kept.append((3 * k + 2, float(rows.gap[k]), CLOSES, 1.0))
-    first, of_joints = 3 * (nc + nh), compliances[-len(dry_friction) :]
+    first = 3 * (nc + nh)
     for k in range(nl):
         closes = None if taken.found.arrives[nc + k] else sets.closed(first + k, float(rows.gap[nc + nh + k]))
         if closes is not None:
-            sets.kept.append((first + k, *closes, float(of_joints[rows.columns[first + k, 0]])))
+            sets.kept.append((first + k, *closes, 1.0))
     for row, joint in enumerate(rows.dry.tolist(), first + nl):
-        sets.add_dry(row, taken.h * float(dry_friction[joint]), float(of_joints[joint]))
+        sets.add_dry(row, taken.h * float(dry_friction[joint]) / float(rows.values[row, 0]))
     numbers, gaps, closing, soft = zip(*sets.kept, strict=True) if sets.kept else ((), (), (), ())
     places, kinds = np.array(numbers, dtype=np.int64), np.array(closing, dtype=np.int64)
     ends, softness = np.array(gaps, dtype=float), np.array(soft, dtype=float)

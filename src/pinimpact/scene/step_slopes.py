@@ -96,7 +96,7 @@ class StepSlopes:
         self._controlled = controlled
         self._work, self._model = dynamics.work, model
         self._data, self._spare, self._aside = (model.createData() for _ in range(3))
-        self._compliances = dynamics.compliances
+        self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
         # what has a friction of its own in sustained contact does not depend on that of impacts
         own = [contact.sliding_friction is not None for contact in dynamics.contacts]
         self._parameters = tuple(None if own[p.contact] else p for p in parameters)

@@ -92,7 +92,7 @@ class TimeStepping(Integrator):
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
         self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
-        self._compliances = self.dynamics.compliances
+        self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
         self._gravity = float(np.linalg.norm(model.gravity.linear))

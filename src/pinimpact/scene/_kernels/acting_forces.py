@@ -68,8 +68,7 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
             for a in range(size):
                 trial[a] = 0.0
         if soft:
-            equal = np.ones(nc + len(lower))
-            off = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, equal)
+            off = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
         elif start == NONE:
             off = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, trial)
         else:

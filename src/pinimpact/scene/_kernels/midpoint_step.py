@@ -107,7 +107,8 @@ def fill_rows(work, v, rows, u, acceleration, turning):
         gap[every + k], u[a] = limit_gap(work, limits[k], work.q, v)
     for k in range(len(dry)):
         a = 3 * every + len(limits) + k
-        values[a, 0], columns[a, 0], counts[a], u[a] = 1.0, dry[k], 1, v[dry[k]]
+        values[a, 0], columns[a, 0], counts[a] = work.joint_metres[dry[k]], dry[k], 1
+        u[a] = values[a, 0] * v[dry[k]]
 
 
 @inlined
@@ -220,7 +221,7 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
     """
     contacts, held, limits, dry, values, columns, counts, _, gap = rows
     nc, every, n = len(contacts), len(contacts) + len(held), len(free)
-    friction, compliance, active = np.empty(nc), np.ones(n - 2 * nc), flags(n - 2 * nc, True)
+    friction, compliance, active = np.empty(nc), np.empty(nc), flags(n - 2 * nc, True)
     for i in range(nc):
         friction[i], compliance[i] = work.friction[contacts[i]], system.compliances[contacts[i]]
     for i in range(nc + len(limits)):
@@ -231,13 +232,11 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
         k = a - 3 * nc
         lower[k], upper[k] = -math.inf, math.inf
         if a >= 3 * every + len(limits):
-            upper[k] = h * work.dry_friction[dry[a - 3 * every - len(limits)]]
+            upper[k] = h * work.dry_friction[dry[a - 3 * every - len(limits)]] / values[a, 0]
             lower[k] = -upper[k]
         elif a >= 3 * every:
             lower[k] = 0.0
             free[a] += closing_speed(gap[a - 2 * every], slow, h)
-        if a >= 3 * every:
-            compliance[nc + k] = system.compliances[work.contacts + columns[a, 0]]
     for i in range(every):
         free[3 * i + 2] += closing_speed(gap[i], slow, h) if i < nc else gap[i] / h
     problem = VelocityProblem(

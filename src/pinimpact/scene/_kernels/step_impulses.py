@@ -210,7 +210,7 @@ def problem_of(problem, island):
     own_mass, own_inverse, first = np.zeros((m, m)), np.zeros((m, m)), np.empty(m, dtype=np.int64)
     own, where = np.empty((n, widest)), np.empty((n, widest), dtype=np.int64)
     lengths, given = np.empty(n, dtype=np.int64), np.empty(n)
-    mu, soft = np.empty(contacts), np.empty(len(items))
+    mu, soft = np.empty(contacts), np.empty(contacts)
     low, high = np.empty(scalars), np.empty(scalars)
     for a in range(m):
         first[a] = place[start[moves[a]]]
@@ -222,9 +222,7 @@ def problem_of(problem, island):
         for k in range(lengths[a]):
             own[a, k], where[a, k] = values[rows[a], k], place[columns[rows[a], k]]
     for k in range(contacts):
-        mu[k] = friction[items[k]]
-    for k in range(len(items) if contacts > 0 else 0):
-        soft[k] = compliance[items[k]]
+        mu[k], soft[k] = friction[items[k]], compliance[items[k]]
     for k in range(scalars):
         i = items[contacts + k] - len(friction)
         low[k], high[k] = lower[i], upper[i]

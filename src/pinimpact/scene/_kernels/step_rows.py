@@ -71,7 +71,7 @@ class StepSystem(NamedTuple):
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
-        compliances: (n + nv,) of all contacts, and of stops and dry friction by their velocities.
+        compliances: (n,) of all contacts.
     """
 
     mass: FloatRows
@@ -88,8 +88,8 @@ class StepResult(NamedTuple):
     """What a step leads to.
 
     Attributes:
-        impulse: (rows,) the impulses [N s], of dry joints [N s or N m s].
-        u_start: (rows,) velocities of the rows at the start [m/s], of dry joints [m/s or rad/s].
+        impulse: (rows,) the impulses [N s].
+        u_start: (rows,) velocities of the rows at the start [m/s], of joints see `joint_metres`.
         u_end: (rows,) those at the end.
         arrives: (nc + nl,) what closes so fast that it has been apart: it has no impulse here.
         predicted: (nv,) the velocity with which forces were evaluated at the end.
