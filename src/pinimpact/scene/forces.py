@@ -13,7 +13,6 @@ from ._kernels import active_set, force_evaluation
 from ._kernels.contact_forces import SLIP
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import DenseStep
-from .dynamics import SceneDynamics
 
 FORCE_SAMPLES = 7
 """Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""
@@ -151,7 +150,19 @@ class ForceSource(Protocol):
         """Return the forces at a time within the step of this number; None where nothing is closed."""
 
 
-def set_closed(dynamics: SceneDynamics, closed: ClosedSet) -> None:
+class Dynamics(Protocol):
+    """The part of `SceneDynamics` that forces need."""
+
+    work: SceneWorkspace
+
+    def make_room(self, closing: Integers) -> None:
+        """Make room for contacts (n,) that are closed, where not zero."""
+
+    def check(self) -> None:
+        """Raise what went wrong in a call from a kernel."""
+
+
+def set_closed(dynamics: Dynamics, closed: ClosedSet) -> None:
     """Let dynamics have the modes of what was closed."""
     work = dynamics.work
     dynamics.make_room(closed.modes[: work.contacts])
@@ -169,12 +180,12 @@ class EvaluatedForces:
         contacts: Names of the contacts.
     """
 
-    def __init__(self, dynamics: Callable[[], SceneDynamics], contacts: Sequence[str]) -> None:
+    def __init__(self, dynamics: Callable[[], Dynamics], contacts: Sequence[str]) -> None:
         self._make = dynamics
         self.contacts = contacts
 
     @cached_property
-    def _dynamics(self) -> SceneDynamics:
+    def _dynamics(self) -> Dynamics:
         return self._make()
 
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
