@@ -56,7 +56,7 @@ def dynamics():
     model.lowerPositionLimit = lower
     model.friction = np.array([0.0, 0.0, 1.0])
     scene = Scene(model)
-    return SceneDynamics(scene, model, [], [], scene.limits())
+    return SceneDynamics(scene, model, [], [], scene.layout().limits)
 
 
 def take_step(work, height):

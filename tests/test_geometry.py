@@ -339,7 +339,7 @@ def test_all_links_are_watched_but_those_that_cannot_reach():
     reason = scene.plan()["contact guards"].reason
     assert "panda_link1_0 on floor (152 points), panda_link2_0 on floor (152 points)" in reason
     base = Scene(robot, contacts=Contact(geometry="panda_link0_0", plane=FLOOR))
-    assert len(base.unreachable()) == len(base.contacts) > 0
+    assert len(base.plan().unreachable) == len(base.contacts) > 0
 
 
 def test_spheres_of_shapes_bound_them():

@@ -123,9 +123,9 @@ def test_a_surface_beyond_limits_that_do_not_act_is_watched() -> None:
     unbounded(model)
     model.lowerPositionLimit, model.upperPositionLimit = np.full(3, -0.1), np.full(3, 0.1)
     deep = Contact("point", Plane(point=(0, 0, -0.5)))
-    assert Scene(model, [deep]).unreachable() == ("point on plane",)
+    assert Scene(model, [deep]).plan().unreachable == ("point on plane",)
     scene = Scene(model, [deep], without=["joint limits"])
-    assert scene.unreachable() == ()
+    assert scene.plan().unreachable == ()
     assert run(scene, np.zeros(3), np.zeros(3), 1.0).q[-1] == pytest.approx([0, 0, -0.5], abs=1e-9)
 
 

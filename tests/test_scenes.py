@@ -86,8 +86,8 @@ def test_an_effect_of_zero_coefficient_changes_nothing(effect):
 def test_a_surface_out_of_reach_costs_no_sampling_and_one_in_reach_is_watched():
     far = Scene(pendulum(), [Contact("tip", Plane(point=(0, 0, -1.5)))])
     near = Scene(pendulum(), [Contact("tip", Plane(point=(0, 0, -0.9)))])
-    assert far.unreachable() == ("tip on plane",)
-    assert near.unreachable() == ()
+    assert far.plan().unreachable == ("tip on plane",)
+    assert near.plan().unreachable == ()
 
 
 # ---- bad input

@@ -252,7 +252,7 @@ def test_a_sphere_out_of_reach_is_not_watched():
     for distance, reached in ((1.5 + 1e-9, False), (1.5 - 1e-9, True)):
         center = distance * np.array([0.6, 0.0, -0.8])
         scene = Scene(pendulum(), [Contact("tip", Sphere(center, 0.5))])
-        assert scene.unreachable() == (() if reached else ("tip on sphere",))
+        assert scene.plan().unreachable == (() if reached else ("tip on sphere",))
 
 
 def test_a_start_inside_a_sphere_is_refused():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +21,6 @@ from ..scene.records import ImpactRecord, group_notes
 from ..scene.trajectory import Trajectory
 from ..status import Flag
 
-WORKS = ("control", "joints", "friction", "surface", "impacts")
 LONGEST = 40
 """Largest number of rows of a table, unless all are requested."""
 ROUNDING = 32.0 * 2.0**-52
@@ -135,15 +134,8 @@ def run_facts(trajectory: Trajectory) -> dict[str, Any]:
     """Return a run as plain data, in SI units."""
 
     def impact(record: ImpactRecord) -> dict[str, Any]:
-        _, source, approach, impulse, work, special = _impact_row(record)
-        return {
-            "time": record.time,
-            "source": source,
-            "approach": approach,
-            "impulse": impulse,
-            "work": work,
-            "special": special.split(", ") if special else [],
-        }
+        row = dict(zip(("time", "source", "approach", "impulse", "work"), _impact_row(record), strict=False))
+        return row | {"time": record.time, "special": record.remarks}
 
     return {
         "duration": trajectory.duration,
@@ -205,9 +197,9 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
 
 def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
     """Return the changes of energy by cause; the residual is given however small it is."""
-    energy = trajectory.energy
-    values = [energy.total[-1] - energy.total[0], *(getattr(energy, name)[-1] for name in WORKS)]
-    names = ["kinetic and potential", *(f"work of {name}" for name in WORKS)]
+    energy, works = trajectory.energy, trajectory.energy.by_cause()
+    values = [energy.total[-1] - energy.total[0], *(work[-1] for work in works.values())]
+    names = ["kinetic and potential", *(f"work of {cause}" for cause in works)]
     changes = rounded(values, float(np.abs(energy.total).max()))
     return [*zip(names, changes, strict=True), ("energy residual", energy.residual[-1])]
 
@@ -229,17 +221,13 @@ def _cut(rows: Sequence[Any], shown: int | None) -> str:
 
 
 def _impact_row(impact: ImpactRecord) -> tuple[Any, ...]:
-    special = [
-        word for word, on in (("resting", impact.resting), ("simultaneous", impact.simultaneous)) if on
-    ]
-    special += [effect for effect in ("stick", "resumed slip", "jam") if effect in impact.solution.effects]
     return (
         f"{impact.time:.6f}",
         impact.source,
         -float(np.asarray(impact.problem.velocity)[2]),
         float(np.linalg.norm(impact.solution.impulse)),
         impact.solution.work.total,
-        ", ".join(special),
+        ", ".join(impact.remarks),
     )
 
 
@@ -276,13 +264,8 @@ def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]])
     for k, name in enumerate(head):
         numbers = bool(lines) and all(_is_number(line[k]) for line in lines)
         width = max([len(line[k]) for line in lines], default=0) if numbers else None
-        table.add_column(
-            Text(name),
-            justify="right" if numbers else "left",
-            overflow="fold",
-            no_wrap=False,
-            min_width=width,
-        )
+        justify: Literal["left", "right"] = "right" if numbers else "left"
+        table.add_column(Text(name), justify=justify, overflow="fold", min_width=width)
     for line in lines:
         table.add_row(*map(Text, line))
     return table

@@ -63,13 +63,6 @@ def suggested_frames(model: pin.Model) -> list[int]:
     return [i for _, i in sorted(best.values())]
 
 
-def end_frames(model: pin.Model) -> list[int]:
-    """Return the ids of possible contact frames: the suggested ones, then other ends."""
-    suggested = suggested_frames(model)
-    ends = [i for i in _chain_ends(model) if np.any(model.frames[i].placement.translation)]
-    return [*suggested, *(i for i in ends if i not in suggested)]
-
-
 def _chain_ends(model: pin.Model) -> list[int]:
     """Return the ids of moving links without children; sensors are left out."""
     parents = {frame.parentFrame for frame in model.frames}
@@ -108,11 +101,11 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
     for j in range(1, model.njoints):
         at, count = model.idx_qs[j], model.nqs[j]
         plain = count == model.nvs[j]
-        first = model.idx_vs[j]
+        first, kind = model.idx_vs[j], model.joints[j].shortname().removeprefix("JointModel")
         joints.append(
             {
                 "name": model.names[j],
-                "kind": _kind(model.joints[j].shortname()),
+                "kind": next((word for start, word in _KINDS if kind.startswith(start)), kind.lower()),
                 "coordinates": count,
                 "velocities": model.nvs[j],
                 "lower": [None if not plain or x == -np.inf else float(x) for x in low[at : at + count]],
@@ -131,6 +124,7 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
         }
         for i, frame in enumerate(model.frames)
     ]
+    ends = [i for i in _chain_ends(model) if np.any(model.frames[i].placement.translation)]
     solids = [] if robot.collision_model is None else robot.collision_model.geometryObjects
     shapes = [shape.name for shape in solids]
     return {
@@ -145,7 +139,7 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
             "collision": len(shapes),
         },
         "collision_shapes": shapes,
-        "contact_frames": [frame_label(model, i) for i in end_frames(model)],
+        "contact_frames": [frame_label(model, i) for i in dict.fromkeys([*suggested_frames(model), *ends])],
         "joints": joints,
         "frames": frames,
     }
@@ -166,9 +160,4 @@ _KINDS = (
     ("P", "prismatic"),
     ("Mimic", "mimic"),
 )
-
-
-def _kind(shortname: str) -> str:
-    """Return the name of a Pinocchio joint type in URDF."""
-    kind = shortname.removeprefix("JointModel")
-    return next((word for start, word in _KINDS if kind.startswith(start)), kind.lower())
+"""Names in URDF of Pinocchio's joints, by how theirs begin."""

@@ -43,12 +43,8 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
     """Print each warning in one line, without its place in the source."""
-
-    def print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-        click.echo(f"Warning: {message}", err=True)
-
     with warnings.catch_warnings():
-        warnings.showwarning = print_warning
+        warnings.showwarning = lambda message, *_, **__: click.echo(f"Warning: {message}", err=True)
         yield
 
 
@@ -57,8 +53,7 @@ class _Shown(logging.Handler):
 
     def __init__(self, show: Callable[[str], Any]) -> None:
         super().__init__()
-        self._show = show
-        self._time = ""
+        self._show, self._time = show, ""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a record."""

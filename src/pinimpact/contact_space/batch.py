@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..arrays import Integers
 from ..checks import real_numbers
 from ..errors import InputError
 from ..status import Status
-from .derivatives import Derivatives, differentiate, empty_slopes, named_derivatives
+from .derivatives import Derivatives, empty_results, named_derivatives
 from .inputs import FACTOR, Array
 from .laws import law_code
 from .solution import Work
@@ -58,33 +59,28 @@ class BatchSolution:
         from ._kernels.batch import solve_rows
 
         count = len(self._inputs[1])
-        result = (
-            np.empty((count, 7)),
-            np.empty((count, 3), dtype=np.int64),
-            np.empty((count if work else 0, 3)),
-        )
-        matrices, velocities, mu, e, law, scales, factors = self._inputs
-
-        def solve(rows: slice) -> None:
-            given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows], factors[rows]
-            solve_rows(*given, *(part[rows] for part in result))
-
-        in_threads(solve, count, self._threads)
-        return result
+        numbers, codes = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64)
+        works = np.empty((count if work else 0, 3))
+        self._fill(solve_rows, numbers, codes, works)
+        return numbers, codes, works
 
     def _differentiate(self) -> tuple[Array, Integers]:
-        count = len(self._inputs[1])
-        slopes, boundaries = empty_slopes(count)
-        outputs = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64), slopes, boundaries
+        from ._kernels.derivatives import differentiate_rows
+
+        numbers, codes, slopes, boundaries = results = empty_results(len(self._inputs[1]))
+        self._fill(differentiate_rows, *results)
+        self.derivatives = named_derivatives(slopes, boundaries)
+        return numbers, codes
+
+    def _fill(self, kernel: Callable[..., None], *results: Array | Integers) -> None:
+        """Let a kernel fill the rows of results, in threads."""
         matrices, velocities, mu, e, law, scales, factors = self._inputs
 
-        def solve(rows: slice) -> None:
+        def fill(rows: slice) -> None:
             given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows], factors[rows]
-            differentiate(*given, tuple(part[rows] for part in outputs))
+            kernel(*given, *(part[rows] for part in results))
 
-        in_threads(solve, count, self._threads)
-        self.derivatives = named_derivatives(slopes, boundaries)
-        return outputs[:2]
+        in_threads(fill, len(velocities), self._threads)
 
     @cached_property
     def work(self) -> Work:

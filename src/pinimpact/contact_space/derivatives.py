@@ -75,25 +75,10 @@ def _parts(rows: Array) -> tuple[Array, Array, Array, Array]:
     return rows[..., :3], by_delassus, rows[..., 12], rows[..., 13]
 
 
-def differentiate(
-    matrices: Array,
-    velocities: Array,
-    mu: Array,
-    e: Array,
-    law: int,
-    scales: Array,
-    factors: Array,
-    outputs: Any,
-) -> None:
-    """Solve and differentiate N problems; `outputs` are the last four arguments of the kernel."""
-    from ._kernels.derivatives import differentiate_rows
-
-    differentiate_rows(matrices, velocities, mu, e, law, scales, factors, *outputs)
-
-
-def empty_slopes(count: int) -> tuple[Array, Integers]:
-    """Return arrays for the derivatives of so many problems, (N, 6, 14), and for their boundaries."""
-    return np.empty((count, 6, 14)), np.empty(count, dtype=np.int64)
+def empty_results(count: int) -> tuple[Array, Integers, Array, Integers]:
+    """Return arrays for v⁺ and P (N, 7), codes (N, 3), slopes (N, 6, 14) and boundaries of N problems."""
+    integers = np.empty((count, 3), dtype=np.int64), np.empty(count, dtype=np.int64)
+    return np.empty((count, 7)), integers[0], np.empty((count, 6, 14)), integers[1]
 
 
 def derivatives_of(inputs: Inputs, side: int | None = None) -> Derivatives:
@@ -106,16 +91,13 @@ def derivatives_of(inputs: Inputs, side: int | None = None) -> Derivatives:
 
 def _differentiated(inputs: Inputs) -> tuple[Array, Array, int, int]:
     """Return v⁺ and P (6,) of a problem, their slopes (6, 14), `Boundary` and status."""
+    from ._kernels.derivatives import differentiate_rows
+
     mu, e, law, scale, factor = inputs[9:]
-    slopes, boundary = empty_slopes(1)
     matrix, velocity = np.array([inputs[:6]])[:, ENTRY], np.array([inputs[6:9]])
-    numbers, codes = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64)
-    coefficients = np.array([[mu], [e], [scale]])
-    factors = factor.reshape(-1, FACTOR)
-    differentiate(
-        *(matrix, velocity, coefficients[0], coefficients[1], law, coefficients[2], factors),
-        (numbers, codes, slopes, boundary),
-    )
+    mu, e, scale = np.array([[mu], [e], [scale]])
+    results = numbers, codes, slopes, boundary = empty_results(1)
+    differentiate_rows(matrix, velocity, mu, e, law, scale, factor.reshape(-1, FACTOR), *results)
     return numbers[0, :6], slopes[0], int(boundary[0]), int(codes[0, 0])
 
 

@@ -36,11 +36,6 @@ class Law:
     summary: str
     always_met: bool = False
 
-    @property
-    def code(self) -> int:
-        """The law's number in the kernels: its place in `LAWS`."""
-        return LAWS.index(self.name)
-
 
 _LAWS = (
     Law(
@@ -67,27 +62,15 @@ _LAWS = (
 )
 
 LAWS = tuple(law.name for law in _LAWS)
-"""Names of the restitution laws."""
+"""Names of the restitution laws, by their codes in the kernels."""
 
 COUNTED = tuple(law.counts for law in _LAWS)
 """What each of `LAWS` counts."""
 
-
-def find_law(name: str) -> Law:
-    """Return the law of that name, or raise `UnknownNameError`."""
-    return _LAWS[law_code(name)]
+ALWAYS_MET = tuple(law.name for law in _LAWS if law.always_met)
+"""Those that every impact meets, once its approach is stopped."""
 
 
 def law_code(name: str) -> int:
     """Return the kernels' code of a law, or raise `UnknownNameError`."""
     return LAWS.index(choice("law", name, LAWS, "a restitution law"))
-
-
-def law_of_code(code: int) -> Law:
-    """Return the law whose code is `code`."""
-    return _LAWS[code]
-
-
-def laws_always_met() -> tuple[str, ...]:
-    """Return the names of the laws that every impact meets, once its approach is stopped."""
-    return tuple(law.name for law in _LAWS if law.always_met)

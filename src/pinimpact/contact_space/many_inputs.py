@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import finite_array, real_numbers
 from ..errors import InputError, UnstoppableApproachError
 from .inputs import Array
-from .laws import find_law
+from .laws import law_code
 from .many_solution import ManyPath, ManySolution, ManyStory, Segments
 from .problem import ZERO, ImpactProblem
 
@@ -65,7 +65,7 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
             f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {eigenvalues[0]:.6g}",
             value=problem.delassus,
         )
-    find_law(problem.law)
+    law_code(problem.law)
     stiffness = 1.0 if problem.stiffness is None else problem.stiffness
     return ManyInputs(
         delassus,
@@ -104,19 +104,10 @@ def solution_of(
     path: ManyPath | None = None,
     bounded: bool = False,
 ) -> ManySolution:
-    """Return the solution that numbers make up.
+    """Return the solution that numbers make up; see `ManySolution` and `ManyStory`.
 
-    Args:
-        inputs: The problem.
-        names: Of the policy, and of the law that it has used.
-        velocity: (3n,) after the impact.
-        impulse: (3n,).
-        works: (n, 3) of compression, restitution and friction.
-        counts: Of iterations and events.
-        segments: Makes those of each contact; None where there is no path.
-        notes: What a reader should know.
-        path: The recorded path.
-        bounded: Whether a bound on steps or events was reached.
+    The names are those of the policy and of the law that it has used; velocity and impulse are (3n,), counts
+    those of iterations and events. Without `segments` there is no path.
     """
     n = len(inputs.velocity)
     if segments is None:

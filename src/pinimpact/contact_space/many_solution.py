@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
 from ._kernels.tolerances import SLOW
 from .inputs import NO_FACTOR, Array
-from .solution import Path, Segment, Solution, Work
+from .solution import CAUSES, Path, Segment, Solution, Work
 
 Segments = tuple[tuple[Segment, ...], ...]
 
@@ -211,7 +211,7 @@ class ManySolution:
         def rows(of: Array) -> list[tuple[Any, ...]]:
             return [(name, *row) for name, row in zip(names, of.tolist(), strict=True)]
 
-        causes = ("compression", "restitution", "friction", "surface", "total")
+        causes = (*CAUSES, "total")
         works = np.column_stack([np.broadcast_to(getattr(self.work, c), len(names)) for c in causes])
         works = np.vstack([works, works.sum(axis=0)])
         return (
@@ -311,14 +311,7 @@ def segments_of(rows: Array, count: int) -> Segments:
 
 
 def flags_of(segments: Segments, energy: float, size: float, singular: bool) -> Flag:
-    """Return what was special about an impact.
-
-    Args:
-        segments: Of each contact.
-        energy: Work of all impulses [J].
-        size: The sum of its parts' sizes [J].
-        singular: Whether W is.
-    """
+    """Return what was special about an impact; `size` is the sum of the sizes of parts of its energy [J]."""
     flags = Flag.NONE
     for parts in segments:
         if any(part.mode == "stick" for part in parts):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..checks import choice, in_short, whole_number
-from ..errors import InputError, PinimpactError
+from ..errors import InputError, PinimpactError, UnknownNameError
 from ..status import Status
 from .inputs import Array, Inputs
 
@@ -81,6 +81,14 @@ def load_method(name: str) -> Run:
 def find_method(name: str) -> Method:
     """Return a registered method, or raise `UnknownNameError`."""
     return _methods[choice("method", name, _methods, "a registered method")]
+
+
+def check_options(owner: str, known: Mapping[str, Any], options: Mapping[str, Any]) -> None:
+    """Raise `UnknownNameError` for an option that a method or policy does not know."""
+    for name, value in options.items():
+        if name not in known:
+            takes = ", ".join(known) or "no options"
+            raise UnknownNameError(f"{name}: unknown option of {owner!r}, which takes {takes}", value=value)
 
 
 def _load_exact() -> Run:

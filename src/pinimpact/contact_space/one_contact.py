@@ -7,23 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
+from ..errors import InputError, LawError, PinimpactError, UnstoppableApproachError
 from ..status import Status
 from .inputs import ENTRY, NO_ROWS, Inputs
-from .laws import law_of_code, laws_always_met
-from .methods import METHODS, Run, load_method
+from .laws import ALWAYS_MET, LAWS
+from .methods import METHODS, Run, check_options, load_method
 from .problem import ZERO
 from .solution import Path, Solution
 
 
 def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
-    """Raise the error that a failed solve stands for, naming the offending field and value.
-
-    Args:
-        status: Why there is no answer.
-        figure: The number that belongs into the message; see `Result`.
-        inputs: The problem.
-    """
+    """Raise the error of a failed solve, which names field and value; for the figure see `Result`."""
     v3, mu, e = inputs[8], inputs[9], inputs[10]
     if status == Status.INVALID_NUMBERS:
         for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
@@ -49,8 +43,7 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
             value=v3,
         )
     if status == Status.LAW_UNREACHABLE:
-        law = law_of_code(inputs[11]).name
-        others = " or ".join(map(repr, laws_always_met()))
+        law, others = LAWS[inputs[11]], " or ".join(map(repr, ALWAYS_MET))
         raise LawError(
             f"law: {law!r} with e = {e:.6g} cannot be met: v₃ converges to a limit below it "
             f"({figure:.6g} missing); use {others}, or a smaller restitution",
@@ -75,13 +68,7 @@ def solve_inputs(
     """Solve the problem given by its numbers; otherwise as `solve_impact`."""
     run = load_method(method)
     if options:
-        known = METHODS[method].options
-        for name in options:
-            if name not in known:
-                raise UnknownNameError(
-                    f"{name}: unknown option of {method!r}, which takes {', '.join(known) or 'no options'}",
-                    value=options[name],
-                )
+        check_options(method, METHODS[method].options, options)
         run = partial(run, **options)
     result = run(inputs, NO_ROWS, NO_ROWS)
     if result[0] > Status.LOCKED:

@@ -84,14 +84,9 @@ def fill_one_sided_of_problem(
     side: int,
     evaluate: Callable[[Inputs], tuple[Array, Array] | None],
 ) -> None:
-    """Fill slopes (6, 14) of an impact in contact space to one side, where there are none to both.
+    """Fill slopes (6, 14) of v⁺ and P (6,) in contact space to one side, where there are none to both.
 
-    Args:
-        inputs: The problem.
-        slopes: Those of v⁺ and P.
-        values: v⁺ and P (6,).
-        side: 1 or −1.
-        evaluate: Returns values and slopes of a problem; None if it has no answer.
+    `evaluate` returns values and slopes of a problem; None if it has no answer.
     """
     W, mu = np.array(inputs[:6])[ENTRY], inputs[9]
     sizes = np.sqrt(np.outer(W.diagonal(), W.diagonal())).ravel()

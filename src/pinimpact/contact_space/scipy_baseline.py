@@ -196,10 +196,10 @@ def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> 
         before, restores = motion.y, not motion.compressing
         try:
             done = motion.integrate()
-            rows = _record_move(
-                *(trace, rows, not motion.slipping and bool(motion.flags & Flag.STICK), restores),
-                *(before, done.y[:, -1]),
-            )
+            if rows < len(trace):
+                after, sticks = done.y[:, -1], not motion.slipping and bool(motion.flags & Flag.STICK)
+                trace[rows] = (sticks, restores, before[2], after[2], *(after[3:] - before[3:]))
+                rows += 1
             for y in done.y.T[: len(path) - points]:
                 path[points] = (y[2], *motion.velocity(y), *y[:2])
                 points += 1
@@ -215,13 +215,6 @@ def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> 
     status = Status.SEPARATED if v[2] > motion.rtol * motion.size else Status.ENDED_AT_REST
     numbers = *v, *motion.y[:3], motion.compressed[0], 0.0
     return (status, int(motion.flags), motion.calls, *numbers, rows, points)
-
-
-def _record_move(trace: Array, rows: int, sticks: bool, restores: bool, before: Array, after: Array) -> int:
-    if rows < len(trace):
-        trace[rows] = (sticks, restores, before[2], after[2], after[3] - before[3], after[4] - before[4])
-        return rows + 1
-    return rows
 
 
 def _failed(status: Status, figure: float = 0.0) -> tuple[Any, ...]:

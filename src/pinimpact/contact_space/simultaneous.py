@@ -13,13 +13,14 @@ import numpy as np
 
 from .._numeric.tolerances import ROUNDING
 from ..checks import choice
-from ..errors import BoundReachedWarning, UnknownNameError
+from ..errors import BoundReachedWarning
 from ._kernels.tolerances import MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
-from .laws import find_law
+from .laws import law_code
 from .many_inputs import ManyInputs, many_inputs, solution_of
 from .many_solution import ManySolution
+from .methods import check_options
 from .one_contact import solve_inputs
 from .problem import ImpactProblem
 from .solution import Segment
@@ -56,9 +57,7 @@ _compiled: set[Any] = set()
 def compile_policy(name: str, *others: Any) -> None:
     """Compile or load all kernels of a policy when they are first asked for, and others with them.
 
-    Args:
-        name: Of the policy.
-        others: Kernels that tell their types ahead.
+    The others are kernels with declared signatures.
     """
     kernels = (*others, *find_policy(name).kernels())
     if not _compiled.issuperset(kernels):
@@ -71,13 +70,7 @@ def compile_policy(name: str, *others: Any) -> None:
 def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
     """Resolve an impact at n contacts; see `solve_impact`."""
     policy = find_policy(simultaneous)
-    for name in options:
-        if name not in policy.options:
-            raise UnknownNameError(
-                f"{name}: unknown option of {simultaneous!r}, which takes "
-                f"{', '.join(policy.options) or 'no options'}",
-                value=options[name],
-            )
+    check_options(simultaneous, policy.options, options)
     inputs = many_inputs(problem)
     compile_policy(simultaneous)
     found = policy.run(inputs, record, **options)
@@ -125,10 +118,6 @@ LAST = 5
 """Impacts that are named where their number has come to its bound."""
 
 
-def _sequence(inputs: ManyInputs, record: bool) -> ManySolution:
-    return _one_by_one(inputs, "sequence", lambda rates: int(np.argmin(rates)))
-
-
 def _any(inputs: ManyInputs, record: bool, seed: int = 0) -> ManySolution:
     generator = np.random.default_rng(seed)
     rest = ROUNDING * float(np.abs(inputs.velocity).max(initial=0.0))
@@ -140,7 +129,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
     velocity, impulse, works = inputs.velocity.ravel().copy(), np.zeros(3 * n), np.zeros((n, 3))
     rest = ROUNDING * float(np.abs(velocity).max(initial=0.0))
     segments: list[list[Segment]] = [[] for _ in range(n)]
-    law, count, iterations = find_law(inputs.law).code, 0, 0
+    law, count, iterations = law_code(inputs.law), 0, 0
     last: list[str] = []
     while count < MOST_IMPACTS * n and (velocity[2::3] < -rest).any():
         j = choose(velocity[2::3])
@@ -200,7 +189,9 @@ POLICIES: Mapping[str, Policy] = MappingProxyType(
             {"exponent": 1.0, "rtol": RTOL, "accuracy": MISSED},
         ),
         "sequence": Policy(
-            _sequence, tuple, "single impacts, the fastest contact first; depends on the order"
+            lambda inputs, _: _one_by_one(inputs, "sequence", lambda rates: int(np.argmin(rates))),
+            tuple,
+            "single impacts, the fastest contact first; depends on the order",
         ),
         "together": Policy(
             together,

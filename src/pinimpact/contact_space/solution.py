@@ -188,9 +188,7 @@ class Solution:
 
     def _repr_html_(self) -> str:
         work = self.work
-        causes = [
-            (cause, getattr(work, cause)) for cause in ("compression", "restitution", "friction", "surface")
-        ]
+        causes = [(cause, getattr(work, cause)) for cause in (*CAUSES, "total")]
         return (
             html_table(
                 "Impact, in contact axes",
@@ -206,7 +204,7 @@ class Solution:
                 ("mode", "phase", "P₃ from", "to [N s]"),
                 [(s.mode, s.phase, s.start, s.end) for s in self.segments],
             )
-            + html_table("Work [J]", ("", ""), [*causes, ("total", work.total)])
+            + html_table("Work [J]", ("", ""), causes)
             + html_lines([str(self.status), *self.flags.describe()])
         )
 

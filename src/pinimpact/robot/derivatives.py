@@ -334,6 +334,12 @@ class Tree(NamedTuple):
             cache.joints = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents)
         return cls(joint_jacobian(model, placed.data, placed.q), *cache.joints)
 
+    def motions(self, x: Array) -> Array:
+        """Return the motions (joints, 6) of velocities x (nv,)."""
+        out = np.empty((len(self.parent), 6))
+        places.fill_motions(*self, np.ascontiguousarray(x), out)
+        return out
+
 
 class Place(NamedTuple):
     """The joints of tip and surface, where a contact is, how that moves, and where its surface's body is."""
@@ -429,12 +435,11 @@ def _add_held(
 ) -> Array:
     """Add to the slopes of W and to the forces what held contacts do; return dΓ Δ (3k, nv). (D21)"""
     nv, pushes = len(forces), matrices.held_response  # [h, world axis, i]
-    motions, moved = np.empty((placed.model.njoints, 6)), np.empty((3, len(held), 3, nv))
+    moved = np.empty((3, len(held), 3, nv))
     for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):
         tip, base, at, shifts, _ = contact_place(placed, tree, anchor, geometry, False, nv)
         for i, x in enumerate(y):
-            places.fill_motions(*tree, x, motions)
-            places.velocity_slopes(*tree, tip, base, at, shifts, motions, False, moved[i, h])
+            places.velocity_slopes(*tree, tip, base, at, shifts, tree.motions(x), False, moved[i, h])
         f1, f2, f3 = pushes[h] @ impulse
         places.force_slopes(*tree, at, shifts, f1, f2, f3, forces)
     by_rows = moved.reshape(3, 3 * len(held), nv)

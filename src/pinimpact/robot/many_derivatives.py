@@ -116,9 +116,10 @@ class RowSlopes:
     for. Of `spare`, a Data of the model, nothing else is read. `on_surface` see
     `contact_kinematics.jacobian`. Raises `InputError` for a corner whose motion is not known.
 
-    `axes` (3, 3) and `rows` are those of each contact; `carried` the contacts of the features that meet, with
-    points and faces fixed to the shapes, `fixed` the rows of these, and `signs` −1 for those whose tip is on
-    the second shape, else 1; `features_meet` if a corner is a vertex of one shape on an edge of the other.
+    `tree` is that of the robot, `axes` (3, 3) and `rows` are those of each contact; `carried` the contacts of
+    the features that meet, with points and faces fixed to the shapes, `fixed` the rows of these, and `signs`
+    −1 for those whose tip is on the second shape, else 1; `features_meet` if a corner is a vertex of one
+    shape on an edge of the other.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class RowSlopes:
         on_surface: bool = False,
     ) -> None:
         model, corners = placed.model, corners or {}
-        self._placed, self._tree = placed, Tree.of(placed)
+        self._placed, self.tree = placed, Tree.of(placed)
         self._data = model.createData() if spare is None else spare
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
         self.carried, now = list(contacts), list(contacts)
@@ -141,23 +142,16 @@ class RowSlopes:
                 now[k] = corner.contact(placed.data, contacts[k])
             if corner.kind == TIP_PLANE:
                 self.signs[k] = -1.0
-        at, self.rows = self.of(now, True)
+        at, self.rows = rows_of(placed, self.tree, now, True)
         self.axes, self.fixed = [one.axes for one in at], list(self.rows)
         for k, corner in corners.items():
             if corner.on_face:
-                place, self.fixed[k] = self.rows[k].place, self.of([self.carried[k]], True)[1][0]
-                self.features_meet |= corner.follow(placed.data, self._tree.J, place.shifts)
+                place = self.rows[k].place
+                (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)[1]
+                self.features_meet |= corner.follow(placed.data, self.tree.J, place.shifts)
         if on_surface:
             for row, one in zip(self.rows, at, strict=True):
                 row.place.move_onto_surface(one)
-
-    def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[ContactGeometry], list[ContactRow]]:
-        """Return geometry and rows of contacts, with components along the axes or in the world."""
-        return rows_of(self._placed, self._tree, contacts, turns)
-
-    def motions(self, x: Array) -> Array:
-        """Return the motions (joints, 6) of velocities x (nv,)."""
-        return motions_in(self._tree, x)
 
     def of_mass(self, x: Array) -> Array:
         """Return D(x) = ∂(M x)/∂q (nv, nv)."""
@@ -175,20 +169,13 @@ class RowSlopes:
 def rows_of(
     placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool
 ) -> tuple[list[ContactGeometry], list[ContactRow]]:
-    """Return geometry and rows of contacts, see `RowSlopes.of`."""
+    """Return geometry and rows of contacts, with components along the axes if these turn, or in the world."""
     at = [placed.geometry(contact) for contact in contacts]
     rows = [
         ContactRow(tree, contact_place(placed, tree, *one, turns, len(tree.joint)))
         for one in zip(contacts, at, strict=True)
     ]
     return at, rows
-
-
-def motions_in(tree: Tree, x: Array) -> Array:
-    """Return the motions (joints, 6) of velocities x (nv,)."""
-    out = np.empty((len(tree.parent), 6))
-    places.fill_motions(*tree, np.ascontiguousarray(x), out)
-    return out
 
 
 class ManySlopes:
@@ -210,11 +197,11 @@ class ManySlopes:
     ) -> None:
         self.matrices, self._free, self._placed = matrices, free, placed
         self._robot = robot = RowSlopes(placed, contacts, corners, None, on_surface)
-        self._held = robot.of(held, False)[1]
+        self._held = rows_of(placed, robot.tree, held, False)[1]
         nv, m = matrices.response.shape
         moved, self._moved_held = np.zeros((m, m, nv)), np.zeros((m, 3 * len(held), nv))
         for i, y in enumerate(matrices.response.T):
-            motions = robot.motions(y)
+            motions = robot.tree.motions(y)
             for k, row in enumerate(robot.rows):
                 moved[i, 3 * k : 3 * k + 3] = row.slopes(motions)
             for k, row in enumerate(self._held):
@@ -228,7 +215,7 @@ class ManySlopes:
 
     def velocity(self, v: Array) -> Array:
         """Return ∂v°/∂q (3n, nv) at q̇ = v."""
-        out, motions = np.zeros((self.matrices.response.shape[1], len(v))), self._robot.motions(v)
+        out, motions = np.zeros((self.matrices.response.shape[1], len(v))), self._robot.tree.motions(v)
         for k, row in enumerate(self._robot.rows):
             out[3 * k : 3 * k + 3] = row.slopes(motions, True)
         return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -52,20 +52,13 @@ class _Assembled(pin.RobotWrapper):
         self.model, self.collision_model, self.visual_model = model, collision, visual
         self.v0 = np.zeros(model.nv)
 
-    @cached_property
-    def data(self) -> pin.Data:
-        """The Data of the model."""
-        return self.model.createData()
-
-    @cached_property
-    def collision_data(self) -> pin.GeometryData:
-        """The data of the collision shapes."""
-        return self.collision_model.createData()
-
-    @cached_property
-    def visual_data(self) -> pin.GeometryData:
-        """The data of the visual shapes."""
-        return self.visual_model.createData()
+    def __getattr__(self, name: str) -> Any:
+        models = {"data": "model", "collision_data": "collision_model", "visual_data": "visual_model"}
+        if name not in models:
+            raise AttributeError(name)
+        created = getattr(self, models[name]).createData()
+        setattr(self, name, created)
+        return created
 
 
 def _renamed(part: Placed) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:

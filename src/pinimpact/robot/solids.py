@@ -12,17 +12,8 @@ from numpy.typing import ArrayLike
 
 from ..checks import above_zero, in_short
 from ..errors import InputError
+from ..geometry import collision_shapes
 from ..geometry._kernels.constants import SOLID
-from ..geometry.collision_shapes import (
-    Remembered,
-    check_rim_points,
-    collision_model,
-    find_shape,
-    remembered,
-    shape_frame,
-    shape_tips,
-    swept_radius,
-)
 from ..geometry.convex_shape import ConvexShape, PlacedShape, box, hull, of_collision_geometry, sphere
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector, vector
@@ -61,20 +52,20 @@ def collision_shape(robot: Any, name: str, rim_points: int | None = None) -> Car
     A cylinder or cone has `rim_points` on each rim. Raises `InputError` for a shape that cannot be made
     convex, or a robot without any, `UnknownNameError` with similar names.
     """
-    model, shapes = model_of(robot), collision_model(robot)
-    found = find_shape(shapes, name)
-    frame = shape_frame(model, found)
+    model, shapes = model_of(robot), collision_shapes.collision_model(robot)
+    found = collision_shapes.find_shape(shapes, name)
+    frame = collision_shapes.shape_frame(model, found)
     placement = model.frames[frame].placement.actInv(found.placement)
     return carried(model, _known_shape(shapes, found, rim_points), frame, placement, name)
 
 
-_known: Remembered = {}
+_known: collision_shapes.Remembered = {}
 
 
 def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_points: int | None) -> ConvexShape:
     """Return the convex shape of a collision shape; those of meshes are cached."""
     solid, name = found.geometry, found.name
-    swept = swept_radius(solid)
+    swept = collision_shapes.swept_radius(solid)
     if swept > 0.0:
         raise InputError(
             f"geometry: {name!r} has a swept-sphere radius of {swept:g} m, which is possible with "
@@ -89,11 +80,13 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
                 "rim (for instance 24)",
                 value=None,
             )
-        return hull(shape_tips(shapes, found, rim_points).centres, name)
+        return hull(collision_shapes.shape_tips(shapes, found, rim_points).centres, name)
     if not hasattr(solid, "vertices"):
         return of_collision_geometry(solid, name)
     points = np.array(solid.vertices(), dtype=np.float64)
-    shape: ConvexShape = remembered(_known, shapes, name, points, lambda: of_collision_geometry(solid, name))
+    shape: ConvexShape = collision_shapes.remembered(
+        _known, shapes, name, points, lambda: of_collision_geometry(solid, name)
+    )
     return shape
 
 
@@ -174,7 +167,7 @@ class Shape(Solid):
                 f"geometry: {in_short(self.geometry)} is not the name of a collision shape",
                 value=self.geometry,
             )
-        check_rim_points(self.rim_points)
+        collision_shapes.check_rim_points(self.rim_points)
 
     @property
     def label(self) -> str:

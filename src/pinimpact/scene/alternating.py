@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -193,14 +193,14 @@ class Alternating(TimeStepping):
         Steps of two lengths are compared; of first order, they tell the length that keeps to it.
         """
         state, start, begun = self.state, self.mark(), self.state.t
-        coarse = self._try(start, end, state.coarse)
-        fine = self._try(start, end, 0.5 * state.coarse)
+        q_coarse, v_coarse, order_coarse = self._try(start, end, state.coarse)
+        q, v, order = self._try(start, end, 0.5 * state.coarse)
         error, parts = math.nan, 2
-        if coarse.order == fine.order:
-            by_position = np.abs(pin.difference(self.model, coarse.q, fine.q)).max(initial=0.0)
-            by_velocity = 0.5 * state.coarse * np.abs(coarse.v - fine.v).max(initial=0.0)
+        if order_coarse == order:
+            by_position = np.abs(pin.difference(self.model, q_coarse, q)).max(initial=0.0)
+            by_velocity = 0.5 * state.coarse * np.abs(v_coarse - v).max(initial=0.0)
             error = float(max(by_position, by_velocity))
-            allowed = self.work.atol + self.work.rtol * max(self.extent, np.abs(fine.q).max(initial=0.0))
+            allowed = self.work.atol + self.work.rtol * max(self.extent, np.abs(q).max(initial=0.0))
             wanted = 2 * math.ceil(error / allowed)
             if 2 < wanted <= MOST_PARTS:
                 error, parts = 2.0 * error / wanted, wanted
@@ -212,8 +212,11 @@ class Alternating(TimeStepping):
         now = SteppedInterval(last.start, state.t, dt, last.reason, last.error + added)
         state.stepped = (*state.stepped[:-1], now)
 
-    def _try(self, start: tuple[Mark, HybridState], end: float, dt: float) -> _Tried:
-        """Take time steps from a state on until a time, without events of the user's; return the end."""
+    def _try(self, start: tuple[Mark, HybridState], end: float, dt: float) -> tuple[Array, Array, list[str]]:
+        """Take time steps from a state on until a time, without events of the user's.
+
+        Returns q and v at the end, and what has collided on the way.
+        """
         self._return_to(start)
         impacts = len(self.record.impacts)
         watch, self.events = self.events, EventWatch((), math.inf, self.state, [])
@@ -221,8 +224,7 @@ class Alternating(TimeStepping):
             self._run(end, dt)
         finally:
             self.events = watch
-        order = [impact.source for impact in self.record.impacts[impacts:]]
-        return _Tried(self.state.q, self.state.v, order)
+        return self.state.q, self.state.v, [impact.source for impact in self.record.impacts[impacts:]]
 
     def _run(self, end: float, dt: float) -> None:
         """Take time steps until a time, or until an event ends the motion."""
@@ -259,11 +261,3 @@ class Alternating(TimeStepping):
         joints, contacts = state.works[RUBBING].tolist()
         state.rubbed = joints, contacts
         return self.dynamics.first_length()
-
-
-class _Tried(NamedTuple):
-    """Where time steps of one length have led, and what has collided on the way."""
-
-    q: Array
-    v: Array
-    order: list[str]

@@ -35,12 +35,8 @@ def forces_by_state(jacobian: ControlJacobian, t: float, q: Array, v: Array) -> 
 def change_of_forces(scene: Scene, h: float, t: float, state: tuple[Array, Array], x: Array) -> Array:
     """Return the change (nv, n) of the forces of a control that is a function and has a jacobian.
 
-    Args:
-        scene: The scene.
-        h: Time over which the control changes little [s].
-        t: Time [s].
-        state: q (nq,) and v (nv,).
-        x: (2 nv + 1, n) changes of q, in the tangent space, of v, and of the time.
+    That is for changes x (2 nv + 1, n) of q, in the tangent space, of v, and of the time, at a state (q, v);
+    over a time h [s] the control changes little.
     """
     jacobian, control = jacobian_of(scene), scene.control
     assert jacobian is not None
@@ -53,12 +49,7 @@ def change_of_forces(scene: Scene, h: float, t: float, state: tuple[Array, Array
 
 
 class HeldForces:
-    """The forces of a sampled control along a motion, and how they change with it.
-
-    Args:
-        control: The control, which has been asked along the motion.
-        jacobian: Its derivative.
-    """
+    """The forces of a sampled control that has been asked along a motion, and how they change with it."""
 
     def __init__(self, control: SampledControl, jacobian: ControlJacobian) -> None:
         self._control, self._jacobian = control, jacobian

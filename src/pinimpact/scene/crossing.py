@@ -10,13 +10,8 @@ from collections.abc import Callable
 def crossing(value: Callable[[float], float], a: float, b: float, h: float) -> float:
     """Return where a function that is above zero at a, and not at b, ceases to be, to rounding, not before.
 
-    By Ridders' method. The time is a where the function is not above zero there.
-
-    Args:
-        value: The function.
-        a: A time [s].
-        b: A later one [s].
-        h: Length of the step [s], to whose rounding the time is found.
+    By Ridders' method, to the rounding of the step's length h. The time is a where the function is not above
+    zero there.
     """
     fa, fb = value(a), value(b)
     if not fa > 0.0:

@@ -29,12 +29,11 @@ from ._kernels import (
     smooth_motion,
     step_dop853,
     step_radau,
-    stiff_drives,
 )
 from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, Drives, JointPD, no_drives
-from .dense_step import WORKS, DenseStep
+from .dense_step import WORKS
 from .layout import SceneLayout
 from .scene import Scene
 
@@ -96,8 +95,8 @@ class SceneDynamics:
             else:
                 control = ContinuousControl(scene.control)
                 self._calls.append(Call(control, ()))
-        dry = scene.joint_friction * ("joint friction" not in without)
-        damping = scene.joint_damping * ("joint damping" not in without)
+        dry = np.array(scene.model.friction) * ("joint friction" not in without)
+        damping = np.array(scene.model.damping) * ("joint damping" not in without)
         self.driven = len(motors.velocity) > 0
         stiff = self.driven or layout.rate_of_damping(damping) > STIFF
         rough = any(contact.sustained_friction != 0.0 for contact in self.contacts)
@@ -203,11 +202,7 @@ class SceneDynamics:
     def set_modes(self, t: float, q: Array, v: Array, slow: Integers) -> tuple[int, bool, float]:
         """Set the modes of what touches without bouncing; v loses what closed contacts take away of it.
 
-        Args:
-            t: Time [s].
-            q: (nq,) configuration.
-            v: (nv,) velocity.
-            slow: (n + nl,) 1 for each contact and limit that touches.
+        `slow` (n + nl,) is as `approach` fills it.
 
         Returns:
             A contact where slip drives the surface in and no force exists, or −1; whether the forces were
@@ -219,18 +214,12 @@ class SceneDynamics:
         return jammed, converged, energy
 
     def slipping(self) -> tuple[Integers, Integers, Array]:
-        """Return what `slip_as` takes: what slips now."""
+        """Return what slips now: `active_index`, `active_mode` and `sliding_friction` of the workspace."""
         work = self.work
         return work.active_index.copy(), work.active_mode.copy(), work.sliding_friction.copy()
 
     def slip_as(self, closed: Integers, modes: Integers, sliding: Array) -> None:
-        """Let modes that are set next take for slipping what has been, whatever was found in between.
-
-        Args:
-            closed: (k,) `active_index` of the workspace as it was.
-            modes: (k,) `active_mode` likewise.
-            sliding: (nv,) `sliding_friction` likewise.
-        """
+        """Let modes that are set next take for slipping what has been, see `slipping`."""
         work = self.work
         work.active_contacts = len(closed)
         work.active_index[:], work.active_mode[:], work.sliding_friction[:] = closed, modes, sliding
@@ -315,18 +304,6 @@ class SceneDynamics:
         """Return the largest of velocities v (nv,) [m/s], see `joint_metres`."""
         return float(np.abs(self.work.joint_metres * v).max(initial=0.0))
 
-    def resolving_length(self) -> float:
-        """Return the longest step that resolves how drives settle, which implicit steps need not.
-
-        Directions of slip do not count: they may settle in no time, and implicit steps have them as unknowns.
-        """
-        rate = self.work.drive_rate
-        return stiff_drives.STIFF / rate if rate > 0.0 else math.inf
-
-    def dense_step(self, t: float, h: float, q: Array, v: Array, w: Array) -> DenseStep:
-        """Return the step last completed; it began at t in the state q, v, w."""
-        return DenseStep(t, h, q, v, w, self.work.dense_coefficients.copy(), self.work.joint_charts)
-
     # ---- states
 
     def gaps_at(self, q: Array, v: Array) -> Array:
@@ -355,13 +332,8 @@ _compiled: set[tuple[bool, bool, str | None]] = set()
 def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
     """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
 
-    The types of what they take are the same for every scene; only one with friction, drives, or damping that
-    is stiff takes implicit steps; only where two can touch at one instant impacts are resolved together.
-
-    Args:
-        rough: Whether a contact has friction.
-        stiff: Whether there are drives, or damping that is stiff.
-        policy: For impacts at one instant, if there can be any.
+    Only a scene with friction (`rough`), or with drives or damping that is `stiff`, takes implicit steps;
+    only where two can touch at one instant impacts are resolved together, by the policy.
     """
     if (rough, stiff, policy) in _compiled:
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,9 @@ from ..checks import as_tuple, counted, in_short, near_matches
 from ..display import html_table
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
+
+if TYPE_CHECKING:
+    from .scene import Scene
 
 SWITCHABLE = (
     "gravity",
@@ -93,21 +97,17 @@ class Plan:
         off = f"; switched off: {', '.join(self.switched_off)}" if self.switched_off else ""
         return f"Plan({computed or 'no effects'}{off})"
 
-    def _repr_html_(self) -> str:
-        rows = [
+    def _rows(self) -> list[tuple[str, str, str]]:
+        return [
             (e.name, "OFF" if e.changes_answer else "yes" if e.on else "no", e.reason) for e in self.effects
         ]
-        return html_table("Effects", ("effect", "computed", "why"), rows)
+
+    def _repr_html_(self) -> str:
+        return html_table("Effects", ("effect", "computed", "why"), self._rows())
 
     def __str__(self) -> str:
         width = max(len(effect.name) for effect in self.effects)
-        marks = [
-            "OFF" if effect.changes_answer else ("yes" if effect.on else "no") for effect in self.effects
-        ]
-        return "\n".join(
-            f"{effect.name:<{width}}  {mark:<3}  {effect.reason}"
-            for effect, mark in zip(self.effects, marks, strict=True)
-        )
+        return "\n".join(f"{name:<{width}}  {mark:<3}  {reason}" for name, mark, reason in self._rows())
 
 
 def check_names(without: Sequence[str]) -> tuple[str, ...]:
@@ -131,41 +131,18 @@ def _in_words(contacts: Iterable[Contact]) -> str:
     return ", ".join(name if count == 1 else f"{name} ({count} points)" for name, count in names.items())
 
 
-def make_plan(
-    model: pin.Model,
-    contacts: Sequence[Contact],
-    held: Sequence[Contact],
-    *,
-    unreachable: tuple[str, ...],
-    limits: int,
-    limit_restitution: float,
-    control: str,
-    locked: Sequence[str | int],
-    resting_speed: float,
-    record: bool,
-    simultaneous: str,
-    events: Sequence[str],
-    without: Sequence[str],
-) -> Plan:
-    """Derive a plan from what a scene is made of.
+def make_plan(scene: Scene, control: str, events: Sequence[str]) -> Plan:
+    """Derive the plan of a scene.
 
     Args:
-        model: The robot.
-        contacts: Its contacts.
-        held: Its held contacts.
-        unreachable: Names of the contacts that can never reach their surface.
-        limits: How many joint limits there are.
-        limit_restitution: Restitution of the joint limits.
-        control: A clause on the control, empty where there is none.
-        locked: Joints that are locked during impacts.
-        resting_speed: Bounce speed below which a contact is taken as resting [m/s].
-        record: Whether paths of impacts are recorded.
-        simultaneous: Policy for impacts at one instant.
-        events: Names of the user's events.
-        without: Effects to leave out.
+        scene: The scene.
+        control: A clause on its control, empty where there is none.
+        events: Names of its events.
     """
+    layout, contacts, without, resting_speed = scene.layout(), scene.contacts, scene.without, scene.rest
+    unreachable, limits = layout.unreachable, len(layout.limits)
     watched = len(contacts) - len(unreachable)
-    called_for = _of_model(model, control) | _of_contacts(contacts, unreachable)
+    called_for = _of_model(scene.model, control) | _of_contacts(contacts, unreachable)
     called_for |= {
         "sustained contact": (
             watched > 0 or limits > 0,
@@ -174,16 +151,16 @@ def make_plan(
         ),
         "joint limits": (
             limits > 0,
-            f"{counted(limits, 'finite bound')}, one-sided impacts with e = {limit_restitution:g}",
+            f"{counted(limits, 'finite bound')}, one-sided impacts with e = {scene.limit_restitution:g}",
             "no joint has a finite bound",
         ),
-        "held contacts": (bool(held), f"held: {_in_words(held)}", "no contact is held"),
+        "held contacts": (bool(scene.held), f"held: {_in_words(scene.held)}", "no contact is held"),
         "locked joints": (
-            bool(locked),
-            f"locked during impacts: {', '.join(map(str, locked))}",
+            bool(scene.locked),
+            f"locked during impacts: {', '.join(map(str, scene.locked))}",
             "no joint is locked",
         ),
-        "recorded path": (record, "record=True", "record=False"),
+        "recorded path": (scene.record, "record=True", "record=False"),
         "user events": (bool(events), f"located: {', '.join(events)}", "no events are given"),
     }
     effects = [_effect(name, *called_for[name], without) for name in SWITCHABLE]
@@ -200,7 +177,7 @@ def make_plan(
     resolved = "coupled contacts and joint limits that collide or rest at one instant are resolved by "
     none = "no two contacts or joint limits can touch at one instant"
     effects.append(
-        Effect("simultaneous impacts", several, f"{resolved}{simultaneous!r}" if several else none)
+        Effect("simultaneous impacts", several, f"{resolved}{scene.simultaneous!r}" if several else none)
     )
     faces = any(contact.pair is not None for contact in contacts)
     scheme = "auto" if faces or watched > CROWD else "event-driven"

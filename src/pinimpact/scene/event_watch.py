@@ -33,13 +33,9 @@ class Interruption:
 
 
 class EventWatch:
-    """The events of one run: what sign each guard had, and what has happened.
+    """The events of one run: what sign each guard had, in the state, and what has happened, in the records.
 
-    Args:
-        events: The events.
-        every: The time after which guards are evaluated again at the latest [s].
-        state: The state of the run, with the signs.
-        records: Takes the events that happen, in order.
+    Guards are evaluated again after the time `every` [s] at the latest.
     """
 
     def __init__(

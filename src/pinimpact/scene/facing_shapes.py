@@ -48,12 +48,8 @@ class FacingShapes:
         idle: (n,) contacts that are kept for a pair and stand for no point now.
         boxes: Whether there are pairs of boxes, so that `place` leaves the kinematics of its state.
 
-    Args:
-        model: The robot.
-        dynamics: The scene's contacts.
-        layout: Of the scene.
-        rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
-        near: Distance within which shapes face each other at any speed [m].
+    What faces each other at joints (nj,) that are at `rests`, the world among them, stays; shapes within the
+    distance `near` [m] face each other at any speed.
     """
 
     def __init__(
@@ -119,13 +115,9 @@ class FacingShapes:
         self._struck.clear()
 
     def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
-        """Fill the places of pairs that may touch within a time.
+        """Fill the places of pairs that may touch within a time h [s].
 
-        Args:
-            q: (nq,) configuration.
-            v: (nv,) velocity.
-            h: The time [s].
-            touching: For impacts, the gap up to which shapes touch [m]; `dynamics.contacts` is filled too.
+        For impacts, `touching` is the gap up to which shapes touch [m]; `dynamics.contacts` is filled too.
         """
         self._end_impact()
         near = self._near + 8.0 * self._gravity * h * h

@@ -52,12 +52,7 @@ class ClosedSet(NamedTuple):
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:
-        """Return what is closed now, or None if nothing holds or rubs.
-
-        Args:
-            work: The workspace.
-            swapped: See above.
-        """
+        """Return what is closed now, or None if nothing holds or rubs."""
         if work.active_contacts + work.active_scalars == 0 and not work.sliding_friction.any():
             return None
         index, modes, rubs = work.active_index, work.active_mode.tolist(), False
@@ -175,9 +170,7 @@ def set_closed(dynamics: Dynamics, closed: ClosedSet) -> None:
 class EvaluatedForces:
     """Forces that are evaluated at the state of the motion itself, when they are asked for.
 
-    Args:
-        dynamics: Makes dynamics of the scene, of which the thresholds are set.
-        contacts: Names of the contacts.
+    `dynamics` makes dynamics of the scene, of which the thresholds are set.
     """
 
     def __init__(self, dynamics: Callable[[], Dynamics], contacts: Sequence[str]) -> None:

@@ -57,13 +57,7 @@ class Passed(NamedTuple):
 
 
 class ImpactJumps:
-    """Differentiates the impacts of a scene.
-
-    Args:
-        scene: The scene.
-        dynamics: Its dynamics.
-        model: Its model.
-    """
+    """Differentiates the impacts of a scene."""
 
     def __init__(self, scene: Scene, dynamics: SceneDynamics, model: pin.Model) -> None:
         self.dynamics, self.model, self.data = dynamics, model, model.createData()
@@ -206,14 +200,7 @@ class SingleJump(NamedTuple):
 
 
 class GroupJump:
-    """The velocity after an impact at several contacts and limits, by what is before it.
-
-    Args:
-        scene: What differentiates the impacts of the scene.
-        record: One of the records of the impact.
-        modes: Of contacts and, past those, limits before it; zero is open.
-        corners: What contacts of two shapes stand for, by number.
-        error: See `ImpactJumps.of`.
+    """The velocity after an impact at several contacts and limits, by what is before; see `ImpactJumps.of`.
 
     Raises:
         InputError: A contact of two collision shapes is among them that stands for no known corner.

@@ -77,15 +77,10 @@ class Solved(NamedTuple):
 def group_impact(
     v: Array, response: Array, solved: Solved, sources: Sequence[int], axes: Sequence[Array], least: float
 ) -> GroupImpact:
-    """Return what a solution comes to.
+    """Return what a solution comes to, from v (nv,) before it and the response (nv, 3n), Δq̇ per unit impulse.
 
-    Args:
-        v: (nv,) velocity before it.
-        response: (nv, 3n) Δq̇ per unit impulse.
-        solved: The solution.
-        sources: Which contacts and limits.
-        axes: Contact axes of each.
-        least: Part of the largest impulse below which one is none.
+    Sources are the contacts and limits, with the contact axes of each; below the part `least` of the largest
+    one an impulse is none.
     """
     impulses = solved.solution.impulse
     pressed = impulses[:, 2].tolist()

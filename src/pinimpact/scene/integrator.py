@@ -66,14 +66,7 @@ methods it falls to less in a step of half that length."""
 
 
 class Integrator:
-    """A motion under way.
-
-    Args:
-        scene: The scene.
-        q0: (nq,) initial configuration.
-        v0: (nv,) initial velocity.
-        options: Tolerances and bounds.
-        state: A state to continue from instead.
+    """A motion under way, from q0 (nq,) and v0 (nv,) or continued from a state.
 
     Attributes:
         state: The present state.
@@ -169,12 +162,7 @@ class Integrator:
         self.state.length = self.dynamics.first_length()
 
     def advance(self, until: float, report: Report | None = None) -> None:
-        """Move on to a time, or until an event ends the motion.
-
-        Args:
-            until: The time [s].
-            report: Called with the time reached and `until`, after every step.
-        """
+        """Move on to a time [s], or until an event ends the motion; `report` is called after every step."""
         state, sampled = self.state, self.sampled
         while state.t < until and state.ended_by is None:
             stop = until
@@ -250,10 +238,7 @@ class Integrator:
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next.
 
-        Args:
-            h: The length to try.
-            stop: The time at which it ends at the latest.
-            scale: The time of which `progress.STALLED` is a part [s].
+        The length to try is h; it ends at `stop` at the latest. `progress.STALLED` is a part of `scale` [s].
         """
         state, work, t = self.state, self.work, self.state.t
         found = self.progress.stalled(scale) or self._compute(h, stop - t)
@@ -263,8 +248,8 @@ class Integrator:
         state.steps += 1
         if self.dynamics.constrained:
             self.progress.check_drift()
-        step = self.dynamics.dense_step(t, trial, state.q, state.v, state.works)
-        step.closed, step.directions = state.closed, directions
+        start = t, trial, state.q, state.v, state.works
+        step = DenseStep(*start, work.dense_coefficients.copy(), work.joint_charts, state.closed, directions)
         self.progress.check_friction(step, min(work.event_time, step.end))
         self.record.dense_steps.append(step)
         time = work.event_time
@@ -291,11 +276,7 @@ class Integrator:
         return max(longer, natural) if state.cut_short else longer
 
     def _compute(self, h: float, left: float) -> tuple[float, float, Array | None] | IrregularMotionError:
-        """Compute a step whose error is small enough.
-
-        Args:
-            h: The length to try [s].
-            left: The longest [s].
+        """Compute a step whose error is small enough, from a length to try, h, and no longer than `left` [s].
 
         Returns:
             Its length, the length to go on with if it ends early, and the directions of slip; or why no step
@@ -325,9 +306,10 @@ class Integrator:
                     state.low_orders_from = (*higher, later, later)[:2]
                 else:
                     natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
-                    # what settles within the step misses as much in one a little shorter
-                    if error > UNCHANGED * before:
-                        natural = h = min(h, self.dynamics.resolving_length())
+                    # what settles within the step misses as much in one a little shorter; directions of slip
+                    # may settle in no time, and implicit steps have them as unknowns
+                    if error > UNCHANGED * before and work.drive_rate > 0.0:
+                        natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
                     before = error
                 continue
             if not self.instant.rims.jump(work.q0, work.q1):
@@ -386,13 +368,9 @@ class Integrator:
         return self.work.event_index + (0 if event is gap else self.work.contacts)
 
     def _jam_or_refuse(self, refusal: IrregularMotionError) -> float:
-        """Resolve the jam of slip whose forces grow until no step is short enough, or refuse to continue.
+        """Resolve the jam of slip whose forces grow until no step is short enough; return the length to try.
 
-        Returns:
-            The length to try next.
-
-        Raises:
-            IrregularMotionError: It is none.
+        Raises the refusal where it is none.
         """
         if not self.instant.resolve_jam(NEARLY_SINGULAR):
             raise refusal

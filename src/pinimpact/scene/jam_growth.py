@@ -18,11 +18,7 @@ MOST_CHOSEN = 12
 def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: Bools) -> float:
     """Return by what factor, at least 1, friction is to be larger for forces to have no bound; inf for none.
 
-    Args:
-        delassus: (3n, 3n) of what is closed.
-        velocity: (n, 3) of the contacts.
-        friction: (n,) its coefficients.
-        slips: (n,) which of them slip.
+    Velocities (n, 3), coefficients (n,), and which of them slip (n,), are those of the closed contacts.
     """
     rows, along = _slipping_rows(velocity, friction, slips)
     of_rows = delassus[rows]

@@ -45,10 +45,7 @@ def gyration(model: pin.Model) -> Array:
 def metres_per_unit(model: pin.Model, radii: Array, extent: float) -> Array:
     """Return the speed [m/s] that a unit of each velocity means (nv,): 1 of a joint that slides. (10.6)
 
-    Args:
-        model: The robot.
-        radii: (nv,) see `gyration`.
-        extent: The robot's size [m], which counts where nothing that moves has mass away from the axis.
+    The radii (nv,) are those of `gyration`; where they are zero the extent [m] counts, the robot's size.
     """
     found = _subspaces(model)
     slides, turns = np.linalg.norm(found[:, :3], axis=1), np.linalg.norm(found[:, 3:], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -19,7 +20,7 @@ from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import ShapedRobot, frame_id, motion_signs
 from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
 from ..robot.shape_pair import ShapePair, shape_pair
-from .contact_runs import bounding_sphere, runs
+from ._kernels.tolerances import ROUNDING
 from .joint_charts import joint_table
 from .joint_metres import gyration, metres_per_unit
 from .reach import chain_length, link_lengths, out_of_reach
@@ -27,16 +28,14 @@ from .reach import chain_length, link_lengths, out_of_reach
 K = TypeVar("K")
 V = TypeVar("V")
 
+LEAST = 4
+"""Contacts of a shape that are worth a sphere in which a scene looks at them together."""
+
 
 class SceneLayout:
     """What a run needs of a scene beyond its state, as long as the model stays as it is, see `holds_for`.
 
-    Args:
-        model: The robot.
-        contacts: The contacts that may be open.
-        held: Those that hold throughout.
-        limited: Whether the joint limits act.
-        geometry: The collision shapes.
+    The contacts may be open, those held are not; `limited` says whether the joint limits act.
     """
 
     def __init__(
@@ -123,16 +122,13 @@ class SceneLayout:
 
     @cached_property
     def _bounding(self) -> dict[tuple[int, int], Contact]:
-        """The sphere that bounds each run, or its only contact."""
-        every = (*self._contacts, *self._held)
-        return {
-            (first, stop): bounding_sphere(every[first:stop]) or self._bounding_pair(every[first])
-            for first, stop in self._runs
-        }
-
-    def _bounding_pair(self, contact: Contact) -> Contact:
-        """Return a contact, or spheres around the two shapes that it is of."""
-        return contact if contact.pair is None else self.pairs[contact.pair].bounding
+        """The sphere that bounds each run, or its only contact, or spheres around the two shapes of that."""
+        every, found = (*self._contacts, *self._held), {}
+        for first, stop in self._runs:
+            one = every[first]
+            alone = one if one.pair is None else self.pairs[one.pair].bounding
+            found[first, stop] = bounding_sphere(every[first:stop]) or alone
+        return found
 
     @cached_property
     def pairs(self) -> dict[Contact, ShapePair]:
@@ -326,3 +322,41 @@ def _sizes(model: pin.Model) -> tuple[int, int, int, int]:
 
 def _bounds(model: pin.Model) -> tuple[bytes, bytes]:
     return model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()
+
+
+def runs(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
+    """Return first and last + 1 of the contacts, one after the other, that are of one shape and surface.
+
+    A contact that is of no shape, or of a shape with less than `LEAST` of them, is a run alone.
+    """
+    found: list[tuple[int, int]] = []
+    first = 0
+    for i in range(1, len(contacts) + 1):
+        if i < len(contacts) and _together(contacts[first], contacts[i]):
+            continue
+        found += [(first, i)] if i - first >= LEAST else [(k, k + 1) for k in range(first, i)]
+        first = i
+    return found
+
+
+def _together(one: Contact, other: Contact) -> bool:
+    same = one.shape is not None and one.shape == other.shape and one.frame == other.frame
+    return same and one.pair is None and one.plane == other.plane
+
+
+def bounding_sphere(contacts: Sequence[Contact]) -> Contact | None:
+    """Return a sphere that bounds the tips of a run, as a contact of its own; None for one alone."""
+    if len(contacts) == 1:
+        return None
+    centres = np.array([contact.offset for contact in contacts])
+    centre = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
+    away = np.linalg.norm(centres - centre, axis=1)
+    radius = float(max(d + c.radius + c.rim for d, c in zip(away.tolist(), contacts, strict=True)))
+    x, y, z = centre.tolist()
+    return replace(
+        contacts[0],
+        offset=(x, y, z),
+        radius=radius * (1.0 + ROUNDING),
+        rim=0.0,
+        name=f"{contacts[0].shape} on {contacts[0].plane.label}",
+    )

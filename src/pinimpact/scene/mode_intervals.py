@@ -17,12 +17,7 @@ MODES = {SLIP: "slip", STICK: "stick", HELD: "held"}
 
 
 class ModeIntervals:
-    """The modes of a run up to now.
-
-    Args:
-        model: The robot.
-        contacts: Names of the contacts, in the order of the modes.
-        limits: Names of the joint limits, which follow.
+    """The modes of a run up to now, given the names of contacts and limits in the order of the modes.
 
     Attributes:
         ended: Intervals that have ended, in order of their ends.
@@ -42,12 +37,9 @@ class ModeIntervals:
         self._others: bytes | None = None  # unknown, so that all are looked at
 
     def update(self, t: float, modes: Integers, sides: Integers) -> None:
-        """Take the modes from t: some intervals end, others begin.
+        """Take the modes (n + nl + nv,) from t [s]: some intervals end, others begin.
 
-        Args:
-            t: Time [s].
-            modes: (n + nl + nv,) the modes.
-            sides: (nv,) not zero for the drives that are at the bounds of their efforts.
+        The sides (nv,) are not zero for the drives that are at the bounds of their efforts.
         """
         others = modes[len(self._names) :].tobytes() + sides.tobytes()
         named = modes[: len(self._names)]

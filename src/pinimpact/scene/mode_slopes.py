@@ -72,13 +72,9 @@ class SlopesWithin(NamedTuple):
 
 
 class SlopesOfModes:
-    """Differentiates the motion of a scene in any mode.
+    """Differentiates the motion of a scene in any mode; states and modes of the dynamics are set here.
 
-    Args:
-        dynamics: Dynamics of the scene, of which states and modes are set here.
-        model: Its model.
-        friction: Numbers of the contacts by whose friction v̇ is differentiated; −1 for none.
-        tau: (nv,) a constant generalized force.
+    `friction` has the numbers of the contacts by whose friction v̇ is differentiated; −1 for none.
 
     Attributes:
         turned: Which velocities are those of joints that turn.
@@ -108,12 +104,9 @@ class SlopesOfModes:
         self._address = call_addresses([self._derive])
 
     def within(self, step: DenseStep, times: Array, inside: bool = True) -> SlopesWithin:
-        """Return how v̇ changes with the state at some times within a step.
+        """Return how v̇ changes with the state at times (s,) within a step.
 
-        Args:
-            step: The step, with what is closed in it.
-            times: (s,) [s].
-            inside: False for an end of the step, where v̇ is not differentiated.
+        If not `inside`, at an end of the step, v̇ is not differentiated.
         """
         known = self._set(step)
         found = slopes_along(

@@ -30,13 +30,9 @@ class PairsApart:
     length h it is at least min(σ₀, σ₁) − β h²/8, and so is the least of them. (15.8)
 
     Attributes:
+        directions: (p, 3) the direction of each pair: all that a copy of the motion needs of this object.
         bends: (p,) what the acceleration of a point against one of the other shape does not exceed over the
             step last looked at [m/s²].
-
-    Args:
-        model: The robot.
-        layout: Of the scene.
-        pairs: The contacts of two shapes.
     """
 
     def __init__(self, model: pin.Model, layout: SceneLayout, pairs: Sequence[Contact]) -> None:
@@ -44,13 +40,8 @@ class PairsApart:
         self._dynamics = layout.dynamics_for(self, model)
         self._tables = layout.pair_tables(tuple(pairs))
         self._calls = call_addresses([self._dynamics.forward_kinematics, self._dynamics.forward_dynamics])
-        self._directions = np.tile([0.0, 0.0, 1.0], (len(pairs), 1))
+        self.directions = np.tile([0.0, 0.0, 1.0], (len(pairs), 1))
         self.bends = np.zeros(len(pairs))
-
-    @property
-    def directions(self) -> Array:
-        """(p, 3) the direction of each pair: all that a copy of the motion needs of this object."""
-        return self._directions
 
     def at(self, q: Array) -> Array:
         """Return (p,) by what each pair is apart at a configuration, at the least [m]."""
@@ -59,7 +50,7 @@ class PairsApart:
         found = np.empty(len(self.bends))
         went_well = turn_to_gaps(
             *(self._calls, robot.placements, tables.joints, tables.vertices, tables.ranges),
-            *(tables.radii, self._directions, np.ones(len(found), dtype=np.bool_), found),
+            *(tables.radii, self.directions, np.ones(len(found), dtype=np.bool_), found),
         )
         if not went_well:
             raise_kept_error()
@@ -68,16 +59,14 @@ class PairsApart:
     def over(self, step: DenseStep, peak: Array) -> Bools:
         """Return (p,) whether each pair stays apart over a step, along the direction last known.
 
-        Args:
-            step: The step.
-            peak: (2, nv) what |v| and |v̇| do not exceed in it.
+        In it |v| and |v̇| do not exceed `peak` (2, nv).
         """
         robot, tables = self._dynamics, self._tables
         apart = np.zeros(len(self.bends), dtype=np.bool_)
         went_well = stay_apart(
             *(self._calls, robot.q, robot.placements, robot.joint_jacobian, tables.joints, tables.vertices),
             *(tables.ranges, tables.radii, tables.centers, tables.reaches, tables.moves, tables.least),
-            *(self._directions, step.coefficients, step.joints, step.q, step.v, peak, step.h),
+            *(self.directions, step.coefficients, step.joints, step.q, step.v, peak, step.h),
             *(self.bends, apart),
         )
         if not went_well:

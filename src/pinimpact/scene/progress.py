@@ -47,15 +47,7 @@ def ended(instant: Instant, count: int) -> int:
 
 
 class Progress:
-    """Watches over a motion.
-
-    Args:
-        model: The robot.
-        options: Those of the motion.
-        instant: Its contacts, state and record.
-        sizes: Its size [m] and time scale [s].
-        jumps: Whether there is a control that may jump again and again.
-    """
+    """Watches over a motion, of a size [m] and time scale [s]; `jumps` if it has a control that may jump."""
 
     def __init__(
         self, model: pin.Model, options: Options, instant: Instant, sizes: tuple[float, float], jumps: bool
@@ -74,11 +66,7 @@ class Progress:
         state.marked = state.steps, state.t, state.v
 
     def stalled(self, scale: float) -> IrregularMotionError | None:
-        """Return why not to continue where steps make no progress, or None.
-
-        Args:
-            scale: The time of which `STALLED` is a part [s].
-        """
+        """Return why not to continue where steps make no progress, or None; `STALLED` is a part of scale."""
         state, (steps, then, velocity) = self._state, self._state.marked
         count = state.steps - steps
         if count <= MAX_STALLED:

@@ -15,12 +15,8 @@ def out_of_reach(model: pin.Model, contact: Contact, limited: bool) -> bool:
     """Return whether a contact can never reach its surface, whatever the joints do.
 
     False is the safe answer; it is given where the surface is carried by a body. A collision shape that
-    cannot move relative to its surface never reaches it, even where the two overlap.
-
-    Args:
-        model: The robot.
-        contact: The contact.
-        limited: Whether the joint limits act.
+    cannot move relative to its surface never reaches it, even where the two overlap. `limited` says whether
+    the joint limits act.
     """
     surface = contact.plane
     tip = model.frames[frame_id(model, contact.frame)]
@@ -57,13 +53,7 @@ def chain_length(model: pin.Model, links: list[float], contact: Contact) -> floa
 
 
 def sliding_travel(model: pin.Model, contact: Contact, limited: bool) -> float:
-    """Return how far the joints of a contact's chain can slide in all [m]; infinite where one has no end.
-
-    Args:
-        model: The robot.
-        contact: The contact.
-        limited: Whether the joint limits act.
-    """
+    """Return how far the joints of a contact's chain can slide in all [m]; infinite where one has no end."""
     total = 0.0
     for joint in list(model.supports[model.frames[frame_id(model, contact.frame)].parentJoint])[1:]:
         kind = model.joints[joint].shortname()

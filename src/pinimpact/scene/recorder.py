@@ -32,11 +32,6 @@ class Mark(NamedTuple):
 class Recorder:
     """The record of a motion.
 
-    Args:
-        model: The robot.
-        data: Its data.
-        modes: Takes the modes.
-
     Attributes:
         dense_steps, impacts, events, notes: As in the trajectory.
         samples: Time, q, v, works and impact energy of each sample.
@@ -83,12 +78,7 @@ class Recorder:
         self.modes.return_to(present)
 
     def trajectory(self, mark: Mark, **told: Any) -> Trajectory:
-        """Return the motion until a mark.
-
-        Args:
-            mark: Until where.
-            told: What else a `Trajectory` takes.
-        """
+        """Return the motion until a mark; `told` is what else a `Trajectory` takes."""
         steps, rows, impacts, events, notes, ended = (
             rows[:length] for rows, length in zip(self.lists, mark.lengths, strict=True)
         )

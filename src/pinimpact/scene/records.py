@@ -114,11 +114,15 @@ class ImpactRecord:
             return whole.solution.part(place)
         return solve_impact(self.problem, record=self.record)
 
+    @property
+    def remarks(self) -> list[str]:
+        """What was special about it, in words."""
+        words = [word for word in ("resting", "simultaneous") if getattr(self, word)]
+        return words + [word for word in ("stick", "resumed slip", "jam") if word in self.solution.effects]
+
     def __repr__(self) -> str:
-        solution = self.solution
+        solution, marks = self.solution, self.remarks
         before, after = float(np.asarray(self.problem.velocity)[2]), float(solution.velocity[2])
-        marks = [word for word in ("resting", "simultaneous") if getattr(self, word)]
-        marks += [effect for effect in ("stick", "resumed slip", "jam") if effect in solution.effects]
         return (
             f"ImpactRecord({self.source!r} at t = {self.time:.6g} s: normal velocity {before:.6g} to "
             f"{after:.6g} m/s, impulse {float(np.linalg.norm(solution.impulse)):.6g} N s, "

@@ -15,11 +15,6 @@ from .islands import tree_roots
 class Rest:
     """The trees of joints that are at rest, island by island, and the forces that hold them.
 
-    Args:
-        model: The robot.
-        work: The workspace.
-        state: The state of the motion, with what rests.
-
     Attributes:
         tree: (nv,) number of the tree that each velocity belongs to.
         joints: (nj,) which joints are at rest; the world always is.

@@ -19,14 +19,7 @@ from .hybrid_state import HybridState
 
 
 class Rims:
-    """The rims of a motion.
-
-    Args:
-        model: The robot.
-        data: Its data.
-        dynamics: The contacts.
-        state: The state of the motion.
-    """
+    """The rims of a motion."""
 
     def __init__(self, model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState) -> None:
         self._model, self._data, self._dynamics, self._state = model, data, dynamics, state

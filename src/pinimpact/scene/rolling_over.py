@@ -9,18 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
-from ..geometry._kernels.constants import (
-    AXES,
-    CONSTANTS,
-    KIND,
-    LINE,
-    LINE_AXIS,
-    PLANE,
-    RADIUS,
-    SPHERE,
-    TIP,
-    VELOCITY,
-)
+from ..geometry._kernels import constants as layout
+from ..geometry._kernels.constants import KIND, LINE, PLANE, SPHERE
 from ..robot.contact import Contact, contact_constants
 from ..robot.forest import joint_jacobian
 from ..robot.names import motion_signs
@@ -39,14 +29,7 @@ def rolls_over(
     """Return ∂g/∂q (nv,), up to a factor, of how far a ball is over, or None if it does not roll over.
 
     It is measured along n × e for an edge e of a face, along e for the end of an edge. The ball may fly off.
-
-    Args:
-        contacts: The contacts of the scene.
-        pairs: The shapes, by their contact.
-        model: The robot.
-        data: Its data, which change.
-        before: The step that ends there.
-        after: The next one.
+    It rolls over where one step ends and the next begins; the pairs have the shapes by their contact.
     """
     one, other = before.closed, after.closed
     if one is None:
@@ -54,7 +37,7 @@ def rolls_over(
     later = np.zeros_like(one.modes) if other is None else other.modes
     closed, changed = np.flatnonzero(one.modes[: len(contacts)]), np.flatnonzero(one.modes != later)
     if len(changed) == 0 and other is not None:
-        apart = [*range(AXES), *range(KIND, CONSTANTS)]
+        apart = [*range(layout.AXES), *range(KIND, layout.CONSTANTS)]
         rows = np.flatnonzero((one.constants != other.constants)[:, apart].any(axis=1)).tolist()
         features = [(other.constants[k], other.joints[k]) for k in rows]
     else:
@@ -74,14 +57,14 @@ def rolls_over(
 def _guard(model: pin.Model, data: Any, q: Array, sides: list[tuple[Array, Array]]) -> Array | None:
     """Return ∂g/∂q at q for constants and joints of contacts on a line, and on what it bounds or ends in."""
     (line, joints), (beside, joints_beside) = sorted(sides, key=lambda side: side[0][KIND] != LINE)
-    along, flat = line[LINE_AXIS:CONSTANTS], beside[KIND] == PLANE
+    along, flat = line[layout.LINE_AXIS : layout.CONSTANTS], beside[KIND] == PLANE
     known = np.array_equal(joints, joints_beside) if flat else beside[KIND] == SPHERE
     if line[KIND] != LINE or not known:
         return None
     if flat:
-        along = np.cross(beside[AXES + 6 : VELOCITY], along)
+        along = np.cross(beside[layout.AXES + 6 : layout.VELOCITY], along)
     tip, base = joints.tolist()
     moves = joint_jacobian(model, data, q)
-    centre, along = data.oMi[tip].act(line[TIP:RADIUS]), data.oMi[base].rotation @ along
+    centre, along = data.oMi[tip].act(line[layout.TIP : layout.RADIUS]), data.oMi[base].rotation @ along
     rows = along @ moves[:3] + np.cross(centre, along) @ moves[3:]
     return np.asarray(motion_signs(model, tip, base) * rows)

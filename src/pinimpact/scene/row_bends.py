@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..robot.derivatives import Tree
-from ..robot.many_derivatives import ContactRow, RowSlopes, motions_in, rows_of
+from ..robot.many_derivatives import ContactRow, RowSlopes, rows_of
 from ..robot.placed_robot import PlacedRobot
 
 PART = 1e-4
@@ -55,15 +55,9 @@ class _Along(NamedTuple):
 
 
 def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: Array, v: Array) -> RowBends:
-    """Return the bends of a step's rows of contacts.
+    """Return the bends of the rows of contacts of a step of length h [s], with slopes at q (nq,); v is (nv,).
 
-    Args:
-        model: The robot's model.
-        data: Data that are overwritten.
-        h: Length of the step [s].
-        slopes: Of its rows, at the configuration.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
+    The data are overwritten.
     """
     k, nv, s = len(slopes.rows), len(v), PART * h
     if not v.any() or not k:
@@ -72,8 +66,8 @@ def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: 
     placed = PlacedRobot(model, data, pin.integrate(model, q, s * v))
     tree = Tree.of(placed)
     rows = rows_of(placed, tree, slopes.carried, True)[1]
-    start = _along(0.0, slopes.fixed, slopes.motions(v), slopes, v)
-    end = _along(s, rows, motions_in(tree, v), slopes, v)
+    start = _along(0.0, slopes.fixed, slopes.tree.motions(v), slopes, v)
+    end = _along(s, rows, tree.motions(v), slopes, v)
     axes, turns = np.array(slopes.axes), np.array([row.turns for row in slopes.rows])
     bends = (end.velocity - start.velocity) / s
     by_q = (end.by_q @ turn + end.follows - start.by_q - start.follows) / s

@@ -42,12 +42,8 @@ _BOUNDS = {"friction": (0.0,), "restitution": (0.0, 1.0)}
 class Saltation:
     """Takes small changes of the state through the events of a scene.
 
-    Args:
-        scene: The scene.
-        dynamics: Its dynamics, without what the scene switches off.
-        model: Its model, likewise.
-        parameters: The coefficients by which a motion is differentiated.
-        tau: (nv,) a constant generalized force.
+    Dynamics and model are without what the scene switches off; a motion is differentiated by the parameters,
+    under a constant generalized force tau (nv,).
     """
 
     def __init__(
@@ -144,12 +140,7 @@ class Saltation:
     ) -> Array:
         """Return how changes x (2nv, n) at the end of a step are at the start of the next one. (D25)
 
-        Args:
-            x: The changes.
-            before: The step.
-            after: The next one.
-            impacts: Those in between.
-            events: Those of the user.
+        Impacts, and events of the user, are those in between.
 
         Raises:
             InputError: A `jacobian` of the wrong shape; an impact of two collision shapes with others.
@@ -285,13 +276,8 @@ class Saltation:
     ) -> Array:
         """Return how changes x (2nv, n) before impacts within a time step are after them.
 
-        There what is closed moves: its velocities vanish only where steps end.
-
-        Args:
-            x: The changes.
-            impacts: The impacts.
-            modes: Of contacts and limits before.
-            corners: What contacts of two shapes stand for.
+        There what is closed moves: its velocities vanish only where steps end. The modes are of contacts and
+        limits before, the corners what contacts of two shapes stand for.
         """
         records = {id(one if one.group is None else one.group[0]): one for one in impacts}.values()
         if any(one.resting for one in impacts):

@@ -12,16 +12,23 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import Array
+from ..arrays import Bools
 from ..checks import above_zero, as_tuple, at_least_zero, coefficient, counted, in_short
 from ..contact_space.simultaneous import find_policy
 from ..display import changed_fields
-from ..errors import InputError
+from ..errors import InputError, ModelError
 from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact, check_contact, check_surface, is_pair
-from ..robot.joint_limits import JointLimit
-from ..robot.names import ShapedRobot, frame_id, free_velocities, joint_keys, model_of, motion_signs
+from ..robot.names import (
+    ShapedRobot,
+    frame_id,
+    free_velocities,
+    joint_keys,
+    joint_of_velocity,
+    model_of,
+    motion_signs,
+)
 from ..robot.shape_pair import places
 from ..robot.solids import Shape, Solid
 from ._kernels.tolerances import RESTING
@@ -29,7 +36,6 @@ from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
 from .layout import SceneLayout
-from .model_numbers import check_numbers
 
 STANDARD_GRAVITY = 9.80665
 
@@ -136,11 +142,13 @@ class Scene:
         ):
             return contacts
         robot = ShapedRobot(self.model, self.geometry) if self.geometry is not None else self.model
-        return [
-            tip
-            for contact in given
-            for tip in (_single(robot, contact) if isinstance(contact, Contact) else (contact,))
-        ]
+        found: list[Any] = []
+        for contact in given:
+            if isinstance(contact, Contact):
+                found += places(robot, contact) if is_pair(robot, contact) else contact.tips(robot)
+            else:
+                found.append(contact)
+        return found
 
     def contacts_from_geometry(
         self, surface: Surface, links: str | Sequence[str] = "all", **coefficients: Any
@@ -195,7 +203,7 @@ class Scene:
         rubbing = {
             name
             for name, start, count in zip(self.model.names, self.model.idx_vs, self.model.nvs, strict=True)
-            if self.joint_friction[start : start + count].any()
+            if self.model.friction[start : start + count].any()
         }
         counts = Counter(labels)
         for label in counts:
@@ -265,22 +273,7 @@ class Scene:
 
     def plan(self) -> Plan:
         """Return which effects are computed, and why."""
-        layout = self.layout()
-        return make_plan(
-            self.model,
-            self.contacts,
-            self.held,
-            unreachable=layout.unreachable,
-            limits=len(layout.limits),
-            limit_restitution=self.limit_restitution,
-            control=self._control_in_words(),
-            locked=self.locked,
-            resting_speed=self.rest,
-            simultaneous=self.simultaneous,
-            record=self.record,
-            events=[event.label for event in as_events(self.events)],
-            without=self.without,
-        )
+        return make_plan(self, self._control_in_words(), [event.label for event in as_events(self.events)])
 
     def _control_in_words(self) -> str:
         """Return a clause on the control, empty where there is none."""
@@ -312,36 +305,13 @@ class Scene:
         return float(np.linalg.norm(self.model.gravity.linear)) or STANDARD_GRAVITY
 
     @property
-    def joint_damping(self) -> Array:
-        """(nv,) viscous damping of the model's joints [N m s/rad or N s/m]."""
-        return np.array(self.model.damping)
-
-    @property
-    def joint_friction(self) -> Array:
-        """(nv,) dry friction of the model's joints [N m or N]."""
-        return np.array(self.model.friction)
-
-    @property
     def extent(self) -> float:
         """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
         return self.layout().extent
 
-    def limits(self) -> tuple[JointLimit, ...]:
-        """Return the finite bounds of the coordinates that are plain numbers."""
-        return self.layout().limits
-
-    def unreachable(self) -> tuple[str, ...]:
-        """Return the names of the contacts that cannot reach their surfaces in any configuration."""
-        return self.layout().unreachable
-
     def sources(self) -> tuple[str, ...]:
         """Return the names that impacts and modes can have: contacts, joint limits and joints."""
         return self.layout().sources
-
-
-def _single(robot: Any, contact: Contact) -> tuple[Contact, ...]:
-    """Return the contacts of single points that a contact stands for."""
-    return places(robot, contact) if is_pair(robot, contact) else contact.tips(robot)
 
 
 def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
@@ -406,3 +376,27 @@ def _check_surface_motion(field: str, contact: Contact) -> None:
             "surface can move only within itself; attach it to a moving body instead",
             value=contact,
         )
+
+
+def check_numbers(model: pin.Model) -> None:
+    """Raise `ModelError` for gravity, damping, dry friction or a joint limit that no robot has."""
+    gravity = model.gravity.vector
+    if not np.isfinite(gravity).all():
+        raise _refused("gravity", gravity.tolist(), "finite numbers [m/s²]")
+    for field, unit in (("damping", "N m s/rad or N s/m"), ("friction", "N m or N")):
+        values = np.asarray(getattr(model, field))
+        for k in _first(~(np.isfinite(values) & (values >= 0.0))):
+            joint = joint_of_velocity(model, k)
+            raise _refused(f"{field}[{k}]", values[k], f"a finite number ≥ 0 [{unit}] for joint {joint!r}")
+    for field in ("lowerPositionLimit", "upperPositionLimit"):
+        values = np.asarray(getattr(model, field))
+        for k in _first(np.isnan(values)):
+            raise _refused(f"{field}[{k}]", values[k], "a bound [rad or m], infinite where there is none,")
+
+
+def _first(faults: Bools) -> list[int]:
+    return np.flatnonzero(faults)[:1].tolist()
+
+
+def _refused(field: str, value: object, expected: str) -> ModelError:
+    return ModelError(f"model.{field}: {value} given, {expected} expected", value=value)

@@ -145,9 +145,7 @@ class MotionSlopes:
     """Takes small changes along a motion of a scene.
 
     Args:
-        scene: The scene.
-        dynamics: Its dynamics, of which states and modes are set here.
-        model: Its model, without what it switches off.
+        scene, dynamics, model: As of `Saltation`; states and modes are set here.
         parameters: Names of coefficients, see `parse`.
         tau: (nv,) a constant generalized force, by which the motion is differentiated too, or None.
         rtol: Relative tolerance of each interval.
@@ -266,10 +264,7 @@ def _shortest(step: DenseStep) -> float:
 def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> Array:
     """Return the forces of what is closed that stop its velocities, those of equally stiff contacts. (11.12)
 
-    Args:
-        matrix: (s m, s m) the velocities by the forces.
-        velocities: (s m, n); columns with NaN stay so.
-        nodes: The slopes at the nodes.
+    The matrix (s m, s m) has the velocities (s m, n) by the forces; columns with NaN stay so.
     """
     moved = matrix.diagonal()
     if nodes.unique and moved.min() > ROUNDOFF * moved.max():
@@ -289,15 +284,9 @@ def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> 
 
 
 class Sensitivities:
-    """Derivatives along a motion that has been simulated, made when they are asked for.
+    """Derivatives by `names` along a motion that has been simulated, made when they are asked for.
 
-    Args:
-        slopes: Takes changes along the motion.
-        names: What to differentiate by.
-        steps: The steps of the motion.
-        impacts: Its impacts.
-        events: Its user events.
-        held: The forces of a sampled control.
+    The motion is given by its steps, impacts, user events, and the `held` forces of a sampled control.
     """
 
     def __init__(

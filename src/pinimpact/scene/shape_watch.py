@@ -299,13 +299,8 @@ def bend_of_heights(touch: Touch, state: PairState, spin: float, faster: float) 
     """Return what second rates of corners' heights over a plane of contact do not exceed [m/s²]. (15.9)
 
     That is for a corner on a face, or two edges, from now on and for a time [s] that is returned too; for
-    round shapes it is a guess.
-
-    Args:
-        touch: What holds the shapes apart.
-        state: The shapes now.
-        spin: What both turn by together at the most [1/s].
-        faster: What second rates of directions that they carry do not exceed [1/s²].
+    round shapes it is a guess. The shapes, held apart by a touch, turn by `spin` together at the most [1/s];
+    second rates of directions that they carry do not exceed `faster` [1/s²].
     """
     twice = 2.0 * (state.a.shape.reach + state.b.shape.reach)
     if touch.kind != "edge-edge":

@@ -32,16 +32,9 @@ def check_start(
 ) -> None:
     """Check the state in which a motion starts; put it onto surfaces and limits that it is off by rounding.
 
-    The `overlap` of the state describes what overlaps by more, but by no more than time steps may leave.
-
-    Args:
-        model: The robot.
-        data: Its data.
-        dynamics: Contacts and limits; held contacts keep the gaps that they have.
-        state: The state.
-        names: Of contacts and limits.
-        extent: The robot's size [m].
-        left: Returns the overlaps that time steps may leave, of the rates of gaps, see `left_by_steps`.
+    The `overlap` of the state describes what overlaps by more, but by no more than time steps may leave: that
+    `left` returns for the rates of gaps, see `left_by_steps`. Held contacts keep the gaps that they have.
+    Names are those of contacts and limits, the extent is the robot's size [m].
 
     Raises:
         InputError: A contact below its surface, a joint beyond its limit, a held contact that moves or is off
@@ -78,14 +71,9 @@ def check_start(
 def left_by_steps(dt: float, extent: float, gravity: float, rates: Any) -> Any:
     """Return the overlap that a time step may leave within it [m], for a rate of the gap.
 
-    A step sees to the gaps at its end, which it leads to from anywhere in it by their rates and what they
-    change by, see `STEPS_SLACK`.
-
-    Args:
-        dt: Length of the step [s].
-        extent: The robot's size [m].
-        gravity: The acceleration of gravity [m/s²].
-        rates: Rates of gaps, a number or an array [m/s].
+    A step of length dt [s] sees to the gaps at its end, which it leads to from anywhere in it by their rates
+    [m/s], a number or an array, and what they change by, see `STEPS_SLACK`. The extent is the robot's size
+    [m]; gravity is in m/s².
     """
     return STEPS_TOUCH * extent + dt * (np.maximum(-rates, 0.0) + STEPS_SLACK * dt * gravity)
 

@@ -132,14 +132,9 @@ class _Sets:
 def active_sets(
     taken: StepTaken, friction: Array, dry_friction: Array, compliances: Array, otherwise: bool
 ) -> ActiveSets:
-    """Return what holds in a step.
+    """Return what holds in a step, with ties decided one way, or otherwise.
 
-    Args:
-        taken: The step.
-        friction: (n,) μ of all contacts.
-        dry_friction: (nv,) of all joints.
-        compliances: (n,) of all contacts.
-        otherwise: Whether ties are decided the other way.
+    Friction and compliances (n,) are those of all contacts, dry friction (nv,) that of all joints.
     """
     rows, sets = taken.rows, _Sets(taken, otherwise)
     nc, nh, nl = len(rows.contacts), len(rows.held), len(rows.limits)
@@ -163,12 +158,9 @@ def active_sets(
 
 
 def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
-    """Return impulses (m, n) that cause velocities, in the limit of small compliances. (D37)
+    """Return impulses (m, n) that cause velocities (m, n), in the limit of small compliances (m,). (D37)
 
-    Args:
-        matrix: (m, m) velocities by the impulses, of any rank.
-        velocities: (m, n); columns with NaN stay so.
-        compliances: (m,) in any unit.
+    The matrix (m, m) of velocities by impulses is of any rank; columns with NaN stay so.
     """
     m = len(matrix)
     found = np.full_like(velocities, np.nan)

@@ -73,13 +73,8 @@ class StepSlopes:
     """Takes small changes through time steps.
 
     Changes are (3 nv + 1, n): of q in the tangent space, of v, of `StepTaken.pushed`, and of the time at
-    which the state is reached, by which the next step is shorter.
-
-    Args:
-        dynamics: Dynamics of the scene.
-        model: Its model.
-        parameters: Coefficients by which the motion is differentiated; their columns are the last ones.
-        controlled: The scene, if its control is a function.
+    which the state is reached, by which the next step is shorter; the last columns are those of the
+    parameters. `controlled` is the scene if its control is a function.
 
     Attributes:
         boundary: Flags of `Boundary`, set by the steps.
@@ -142,10 +137,7 @@ class StepSlopes:
     def through(self, x: Array, step: DenseStep, force: Array) -> Array:
         """Return how changes x (3 nv + 1, n) before a step are after it, or at what touches in it.
 
-        Args:
-            x: The changes.
-            step: The step, with what it was computed from.
-            force: (nv, n) changes of the generalized force.
+        The changes of the generalized force are (nv, n).
         """
         taken, nv = _taken(step), self._model.nv
         moved = self._differentiate(x, step, force)
@@ -303,12 +295,9 @@ class StepSlopes:
         return stiffness, work.damping + np.where(taken.follows, work.drive_damping, 0.0)
 
     def _rows(self, taken: StepTaken, v: Array, moved: tuple[Array, Array, Array]) -> _Rows:
-        """Return the rows of a step, which starts with v, with their changes.
+        """Return the rows of a step, which starts with v (nv,), with their changes.
 
-        Args:
-            taken: What it was computed from.
-            v: (nv,) the velocity at its start.
-            moved: Changes of the configuration at its midpoint, of v and of its length, (…, n).
+        `moved` has the changes of the configuration at its midpoint, of v and of its length, (…, n).
         """
         maps, every = self._maps(taken, v), np.vstack([moved[0], moved[1], moved[2][None]])
         if maps.slopes.features_meet:
@@ -327,7 +316,7 @@ class StepSlopes:
         start, end, gaps = np.zeros((3, len(jacobian), 2 * nv + 1))
         gaps[:, :nv] = start[:, nv:-1] = jacobian
         for out, velocity in ((start, v), (end, taken.found.v_end)):
-            motions = slopes.motions(velocity)
+            motions = slopes.tree.motions(velocity)
             for k, row in enumerate(slopes.rows):
                 out[3 * k : 3 * k + 3, :nv] = turns[k] @ row.slopes(motions, True)
         if taken.found.bent[0]:
@@ -408,7 +397,7 @@ class StepSlopes:
             every = np.concatenate([rows.normals, rows.held_rows])
             acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(rows.normals))
             turned, world = np.zeros_like(jacobian), np.zeros((of_contacts // 3, 3))
-            motions = slopes.motions(xi)
+            motions = slopes.tree.motions(xi)
             for k, row in enumerate(slopes.rows):
                 turned[3 * k : 3 * k + 3] = row.slopes(motions)
             pushing = every < of_contacts

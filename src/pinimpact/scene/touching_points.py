@@ -82,11 +82,7 @@ _NOTHING, _NONE = Touching({}, {}), np.zeros(0, dtype=np.int64)
 class TouchingPoints:
     """The pairs of shapes of one run, and the contacts that stand for the points in which they touch.
 
-    Args:
-        model: The robot.
-        layout: Of the scene.
-        dynamics: Its contacts, whose places for pairs are filled here.
-        state: The state of the motion, with what touches.
+    The places for pairs in `dynamics` are filled here.
     """
 
     def __init__(
@@ -138,11 +134,7 @@ class TouchingPoints:
     def start(self, q: Array, v: Array, rounding: float, left: Callable[[Any], Any]) -> None:
         """Let the pairs touch that do at the start; the state takes the overlap of others.
 
-        Args:
-            q: (nq,) configuration.
-            v: (nv,) velocity.
-            rounding: Overlap that is none [m].
-            left: Returns the overlap that time steps may leave, of the rate of a gap.
+        Overlap by `rounding` [m] is none; `left` returns what time steps may leave, of the rate of a gap.
 
         Raises:
             InputError: A pair that overlaps by more.
@@ -186,11 +178,7 @@ class TouchingPoints:
         self._state.touching = {}
 
     def restart(self, q: Array, within: float) -> list[int]:
-        """Let the pairs touch that are near each other, after time stepping; return the places filled.
-
-        Args:
-            q: (nq,) configuration.
-            within: Gap or overlap up to which shapes touch [m].
+        """Let the pairs touch whose gap or overlap is within a distance [m]; return the places filled.
 
         Raises:
             IrregularMotionError: A pair that overlaps by more.

@@ -19,21 +19,11 @@ from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
 from ..robot.contact import Contact
 from ..tables import AXES, by_component, data_frame
+from . import records
 from ._kernels.tolerances import ROUNDING
 from .columns import impact_columns, mode_columns, modes_at
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
-from .records import (
-    Energy,
-    EventRecord,
-    ImpactRecord,
-    ModeInterval,
-    Note,
-    Sensitivity,
-    SensitivitySource,
-    SteppedInterval,
-    group_notes,
-)
 from .trajectory_io import read_trajectory, write_trajectory
 
 PARTS = (
@@ -75,11 +65,11 @@ class Trajectory:
         segments: Sequence[DenseStep],
         joints: Integers,
         samples: tuple[Array, Array, Array],
-        impacts: Sequence[ImpactRecord],
-        events: Sequence[EventRecord],
-        modes: Sequence[ModeInterval],
-        energy: Energy,
-        notes: Sequence[Note],
+        impacts: Sequence[records.ImpactRecord],
+        events: Sequence[records.EventRecord],
+        modes: Sequence[records.ModeInterval],
+        energy: records.Energy,
+        notes: Sequence[records.Note],
         termination: str,
         complete: bool,
         switched_off: Sequence[str],
@@ -88,7 +78,7 @@ class Trajectory:
         forces: ForceSource,
         contacts: Sequence[Contact],
         coordinates: tuple[Sequence[str], Sequence[str]],
-        stepped: Sequence[SteppedInterval] = (),
+        stepped: Sequence[records.SteppedInterval] = (),
     ) -> None:
         self._segments = tuple(segments)
         self.joint_table = joints
@@ -104,7 +94,7 @@ class Trajectory:
         q_names, v_names = coordinates
         self.coordinates = tuple(q_names), tuple(v_names)
         self._forces = forces
-        self.sensitivities: SensitivitySource | None = None
+        self.sensitivities: records.SensitivitySource | None = None
 
     @property
     def duration(self) -> float:
@@ -131,7 +121,7 @@ class Trajectory:
             return max(int(np.searchsorted(self._starts, t, side="right")) - 1, 0)
         return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
 
-    def sensitivity(self, t: float, side: Literal["left", "right"] = "right") -> Sensitivity:
+    def sensitivity(self, t: float, side: Literal["left", "right"] = "right") -> records.Sensitivity:
         """Return how the state at a time follows the initial state and coefficients. (derivatives.md, 9)
 
         They are those named in `simulate(..., sensitivities=)`, for changes at which the same events take
@@ -405,7 +395,7 @@ class Trajectory:
             f"energy residual {float(self.energy.residual[-1]):.2g} J.",
             *map(str, self.events),
             *map(str, self.stepped),
-            *map(str, group_notes(self.notes)),
+            *map(str, records.group_notes(self.notes)),
         ]
         if self.switched_off:
             lines.append("Switched off: " + ", ".join(self.switched_off))
@@ -435,7 +425,9 @@ class Trajectory:
         return (
             impacts
             + changes
-            + html_lines([self.termination, *map(str, self.stepped), *map(str, group_notes(self.notes))])
+            + html_lines(
+                [self.termination, *map(str, self.stepped), *map(str, records.group_notes(self.notes))]
+            )
         )
 
 

@@ -157,14 +157,7 @@ class Report:
         for method in dict.fromkeys(point.method for point in self.points):
             cells = []
             for target in TARGETS:
-                costs = []
-                for problem in self.problems:
-                    good = [
-                        point.cost
-                        for point in self.points
-                        if (point.problem, point.method) == (problem, method) and point.error <= target
-                    ]
-                    costs += [min(good)] if good else []
+                costs = [point.cost for point in self.cheapest(target, method) if point is not None]
                 part = "" if len(costs) in (0, count) else f" ({len(costs)}/{count})"
                 cells.append(f"{duration(float(np.median(costs))) if costs else '–'}{part}")
             lines.append(f"  {method:<14}" + "".join(f"{cell:>16}" for cell in cells))
@@ -179,15 +172,15 @@ class Report:
         )
         return "\n".join(lines)
 
-    def cheapest(self, target: float) -> tuple[Point | None, ...]:
-        """Return for each problem the fastest point whose error is within `target`, or None."""
+    def cheapest(self, target: float, method: str | None = None) -> tuple[Point | None, ...]:
+        """Return for each problem the fastest point, of a method or of all, with an error within `target`."""
         if not 0.0 < target < math.inf:
             raise InputError(f"target: {target!r} given, a number > 0 expected", value=target)
-        best = []
-        for problem in self.problems:
-            good = [p for p in self.points if p.problem == problem and p.error <= target]
-            best.append(min(good, key=lambda point: point.cost, default=None))
-        return tuple(best)
+        good = [p for p in self.points if p.error <= target and method in (None, p.method)]
+        return tuple(
+            min((p for p in good if p.problem == problem), key=lambda point: point.cost, default=None)
+            for problem in self.problems
+        )
 
     def advice(self, target: float) -> str:
         """Return as text the fastest method and setting with an error within `target`."""
@@ -316,16 +309,17 @@ def _kernel(problem: ImpactProblem, method: str, setting: dict[str, Any]) -> Cal
     numbers = (*delassus_upper(problem.delassus), v1, v2, v3, float(problem.friction))
     inputs = (*numbers, float(problem.restitution), law_code(problem.law))
 
-    def exact(count: int) -> None:
-        repeat_exact(count, *inputs)
-
-    def stepping(count: int) -> None:
-        repeat_stepping(count, *inputs, table, setting.get("steps", FIRST_STEPS), setting.get("rtol", 0.0))
-
-    table = {"euler": EULER, "rk4": RK4, "adaptive": DORMAND_PRINCE}.get(method)
-    if method != "exact" and table is None:
+    tables = {"exact": None, "euler": EULER, "rk4": RK4, "adaptive": DORMAND_PRINCE}
+    if method not in tables:
         return None
-    call = exact if table is None else stepping
+
+    def call(count: int) -> None:
+        if method == "exact":
+            repeat_exact(count, *inputs)
+        else:
+            steps, rtol = setting.get("steps", FIRST_STEPS), setting.get("rtol", 0.0)
+            repeat_stepping(count, *inputs, tables[method], steps, rtol)
+
     call(1)
     return call
 

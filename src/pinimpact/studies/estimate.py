@@ -28,16 +28,15 @@ MAD = 1.4826
 """Standard deviation over median absolute deviation, of the normal distribution."""
 
 
-def _linear(z: Array) -> Array:
-    return np.array([z, np.ones_like(z), np.zeros_like(z)])
-
-
 def _soft_l1(z: Array) -> Array:
     root = np.sqrt(1.0 + z)
     return np.array([2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3])
 
 
-LOSSES: dict[str, Callable[[Array], Array]] = {"linear": _linear, "soft_l1": _soft_l1}
+LOSSES: dict[str, Callable[[Array], Array]] = {
+    "linear": lambda z: np.array([z, np.ones_like(z), np.zeros_like(z)]),
+    "soft_l1": _soft_l1,
+}
 """ρ, ρ′ and ρ″ of the square of a residual over its scale, as `scipy.optimize.least_squares` has them."""
 
 

@@ -19,15 +19,7 @@ from ..robot.names import single_joints
 from ..scene.scene import Scene
 from ..scene.switched_off import in_impacts
 from ..status import Flag, Status
-from .estimate import (
-    Identified,
-    checked_bounds,
-    fit,
-    general_first,
-    group_numbers,
-    set_coefficient,
-    whitener,
-)
+from . import estimate
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
 from .motion_fit import fit_motions
 from .one_step import ONE_STEP, OneStepSolution, solve_one_step
@@ -77,7 +69,7 @@ def identify(
     trajectories: Sequence[Motion] | None = None,
     restart: bool = False,
     executor: Executor | None = None,
-) -> Identified:
+) -> estimate.Identified:
     """Fit friction and restitution, and the stiffening of joints, to measured impacts or whole motions.
 
     The residuals are the differences of predicted and measured velocities after the impact, as kinetic energy
@@ -139,11 +131,13 @@ def identify(
         if group is None and isinstance(found, FoundImpacts):
             group = given.group
         rows = _of_robot(given, scene, law, covariance, _stiffened(bounds))
-    numbers = group_numbers(group, len(rows.velocity))
+    numbers = estimate.group_numbers(group, len(rows.velocity))
     return _fitted(rows, bounds, numbers, loss)
 
 
-def _fitted(rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers, loss: str) -> Identified:
+def _fitted(
+    rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers, loss: str
+) -> estimate.Identified:
     """Return the fit of rows in contact space."""
     names = list(bounds)
     stiffened = [j for j, name in enumerate(names) if name in _stiffened(bounds)]
@@ -151,7 +145,7 @@ def _fitted(rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers
         j: list(RANGES).index(names[j].partition(":")[0]) for j in range(len(names)) if j not in stiffened
     }
     owner = np.full(rows.coefficients.shape, -1)
-    for j in (j for j in general_first(names) if j in kinds):
+    for j in (j for j in estimate.general_first(names) if j in kinds):
         label = names[j].partition(":")[2]
         owner[kinds[j], (rows.contact == label) if label else slice(None)] = j
     solved: dict[bytes, tuple[_Batch, tuple[_Rows, Array, Array]]] = {}
@@ -201,9 +195,9 @@ def _fitted(rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers
         speed = -np.median(rows.velocity[used, 2])
         return f"the median approach speed is {speed:.2g} m/s" if name.startswith("restitution") else ""
 
-    setters = dict.fromkeys(RANGES, set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
+    setters = dict.fromkeys(RANGES, estimate.set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
     trial = partial(residual, derivatives=False)
-    return fit(
+    return estimate.fit(
         residual, jacobian, bounds, group, loss, reason=reason, trial=trial, law=rows.law, setters=setters
     )
 
@@ -216,7 +210,7 @@ def _checked(
 ) -> dict[str, tuple[float, float]]:
     """Return the bounds of free parameters; none may be of an effect that the scene switches off."""
     labels = [] if scene is None else [one.label for one in scene.contacts]
-    bounds = checked_bounds(FREE if free is None else free, known, labels, joints)
+    bounds = estimate.checked_bounds(FREE if free is None else free, known, labels, joints)
     for name in bounds:
         kind = name.partition(":")[0]
         effect = "contact friction" if kind in ("friction", "sliding_friction") else kind
@@ -234,7 +228,7 @@ def _of_motions(
     executor: Executor | None,
     restart: bool,
     others: Mapping[str, Any],
-) -> Identified:
+) -> estimate.Identified:
     """Return the fit to whole motions, or refuse what only impacts have."""
     for name, value in others.items():
         if value is not None:
@@ -246,7 +240,7 @@ def _of_motions(
     bounds = _checked(free, RANGES | SLIDING, scene)
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
-    setters = dict.fromkeys(RANGES | SLIDING, set_coefficient)
+    setters = dict.fromkeys(RANGES | SLIDING, estimate.set_coefficient)
     return fit_motions(motions, scene, bounds, law, loss, setters, executor, restart)
 
 
@@ -296,7 +290,7 @@ def _of_arrays(
                     f"fixed: {name} is neither free nor fixed; give fixed={{{name!r}: …}}", value=fixed
                 )
             row[:] = coefficient(name, fixed[name]) if name == "restitution" else fixed[name]
-    weights = _energy_root(W) if covariance is None else whitener(covariance, count, 3) @ W
+    weights = _energy_root(W) if covariance is None else estimate.whitener(covariance, count, 3) @ W
     target = _targets(weights, W, after - before)
     return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law)
 
@@ -318,7 +312,7 @@ def _of_robot(
     change = found.v_after - found.v_before
     root = None
     if covariance is not None:
-        root = whitener(covariance, len(found), scene.model.nv)
+        root = estimate.whitener(covariance, len(found), scene.model.nv)
     elif stiff:
         root = _energy_root(np.array([one.mass for one in all_of]))
     if root is None:
@@ -328,16 +322,9 @@ def _of_robot(
     else:
         weights = root @ np.array([one.response for one in all_of])
         target = np.einsum("nij,nj->ni", root, change)
-    coefficients = np.array(
-        [
-            [contacts[name].friction for name in found.contact.tolist()],
-            [
-                contacts[name].restitution_at(max(-speed, 0.0))
-                for name, speed in zip(found.contact.tolist(), before[:, 2].tolist(), strict=True)
-            ],
-        ]
-    )
-    names = np.asarray(found.contact)
+    struck, approach = [contacts[name] for name in found.contact.tolist()], np.maximum(-before[:, 2], 0.0)
+    e = [one.restitution_at(speed) for one, speed in zip(struck, approach.tolist(), strict=True)]
+    coefficients, names = np.array([[one.friction for one in struck], e]), np.asarray(found.contact)
     joints = None if root is None or not stiff else stiff_joints(stiff, scene, all_of, root)
     return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop(), joints)
 

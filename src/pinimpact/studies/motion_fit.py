@@ -154,11 +154,8 @@ class _Fits(NamedTuple):
         slopes = (ahead + behind) / (2.0 * steps)
         found |= {"fun": here.ravel(), "jac": slopes.reshape(-1, len(low))}
         found.cost = float(LOSSES[self.loss]((here / scale) ** 2)[0].sum()) * 0.5 * scale**2
-        result = with_covariance(
-            *(found, self.bounds, here, slopes, group, self.loss, scale),
-            law=self.law,
-            setters=self.setters,
-        )
+        given = found, self.bounds, here, slopes, group, self.loss, scale
+        result = with_covariance(*given, law=self.law, setters=self.setters)
         _without_jumps(result, ahead, behind)
         return result
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -287,16 +287,11 @@ def _impact(
 
 def _agreement(before: Flight, after: Flight, sigma: Array) -> tuple[float, float]:
     """Return how far two flights miss each other, and the instant at which they do so least. (I8)"""
-    spread = np.repeat(sigma, 3) * np.sqrt(
-        4.0 / before.count + 4.0 / after.count  # of the end of a line, at either side
-    )
+    # of the end of a line, at either side
+    spread = np.repeat(sigma, 3) * np.sqrt(4.0 / before.count + 4.0 / after.count)
     gap = np.concatenate([after.com - before.com, (after.rotation * before.rotation.inv()).as_rotvec()])
-    rate = np.concatenate(
-        [
-            after.velocity - before.velocity,
-            after.rotation.apply(after.spin) - before.rotation.apply(before.spin),
-        ]
-    )
+    turn = after.rotation.apply(after.spin) - before.rotation.apply(before.spin)
+    rate = np.concatenate([after.velocity - before.velocity, turn])
     gap, rate = gap / spread, rate / spread
     shift = -float(gap @ rate) / float(rate @ rate)
     return float(np.abs(gap + shift * rate).max()), before.time + shift
@@ -304,16 +299,14 @@ def _agreement(before: Flight, after: Flight, sigma: Array) -> tuple[float, floa
 
 def _moved(flight: Flight, instant: float, body: Body) -> Flight:
     """Return a flight with its state at another instant."""
-    com, rotation, velocity, spin = flight.at(np.array([instant]), body)
-    moved = com[0], velocity[0], rotation[0], spin[0]
-    return Flight(instant, *moved, flight.count, flight.residuals, flight.covariance)
+    com, rotation, velocity, spin = (one[0] for one in flight.at(np.array([instant]), body))
+    return replace(flight, time=instant, com=com, velocity=velocity, rotation=rotation, spin=spin)
 
 
 def generalized(flight: Flight, rotation: Rotation, body: Body) -> Array:
     """Return the velocity (6,) of the body, in its own axes, at its origin."""
-    return np.concatenate(
-        [rotation.inv().apply(flight.velocity) - np.cross(flight.spin, body.lever), flight.spin]
-    )
+    linear = rotation.inv().apply(flight.velocity) - np.cross(flight.spin, body.lever)
+    return np.concatenate([linear, flight.spin])
 
 
 def _covariance(flight: Flight, rotation: Rotation, sigma: Array, body: Body) -> Array:

@@ -40,14 +40,11 @@ class RollOuts:
 
     def mean(self) -> Array:
         """Return the means (n, 2) over time of the errors of position [m] and rotation [rad]."""
-        pairs = zip(self.position, self.rotation, strict=True)
-        return np.array([[one.mean(), other.mean()] for one, other in pairs])
+        return np.array([[one.mean() for one in self.position], [one.mean() for one in self.rotation]]).T
 
     def at_end(self) -> Array:
         """Return the errors (n, 2) at the ends."""
-        return np.array(
-            [[one[-1], other[-1]] for one, other in zip(self.position, self.rotation, strict=True)]
-        )
+        return np.array([[one[-1] for one in self.position], [one[-1] for one in self.rotation]]).T
 
     def __len__(self) -> int:
         return len(self.time)

@@ -9,27 +9,8 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import always_inlined, external, inlined, released
+from . import codes as code
 from .batch import asymmetry, write_result
-from .codes import (
-    COMPRESSION,
-    COMPRESSION_ENDS,
-    IMPULSE,
-    IN_RESUMED_SLIP,
-    IN_SLIP,
-    INDEFINITE_DELASSUS,
-    LAW_MET,
-    LOCKED,
-    LOCKS,
-    NO_EVENT,
-    NO_FLAG,
-    NO_IMPACT,
-    NONE_YET,
-    SINGULAR_DELASSUS,
-    SLIP_RESUMED,
-    STICKS,
-    VELOCITY,
-    WORK,
-)
 from .contact_problem import prepare
 from .crossing import cross
 from .ending import Result, no_result
@@ -107,12 +88,12 @@ def _add_identity(problem, values, row, t, p1, p2, p3):
 def _tangential_rate(problem, mode, s1, s2, gain):
     """Return dv_t/dP₃."""
     mu = problem.mu
-    if mode == IN_SLIP:
+    if mode == code.IN_SLIP:
         return (
             problem.b1 - mu * (problem.a11 * s1 + problem.a12 * s2),
             problem.b2 - mu * (problem.a12 * s1 + problem.a22 * s2),
         )
-    if mode == IN_RESUMED_SLIP:
+    if mode == code.IN_RESUMED_SLIP:
         return gain * s1, gain * s2
     return 0.0, 0.0
 
@@ -206,12 +187,12 @@ def _ending(problem, values, restored, rate, v3, total):
         total: The sum that the law counts over compression.
     """
     e = problem.e
-    if problem.counts == IMPULSE:
+    if problem.counts == code.IMPULSE:
         combine(values, END, 1.0 + e, COMPRESSED, 0.0, COMPRESSED)
         values[END + E] = total
-    elif problem.counts == VELOCITY or not restored:
+    elif problem.counts == code.VELOCITY or not restored:
         combine(values, END, -1.0 / rate, NORMAL, 0.0, NORMAL)
-        if problem.counts == VELOCITY:
+        if problem.counts == code.VELOCITY:
             values[END + V3] -= e / rate
             values[END + E] = -problem.v3 / rate
         else:
@@ -233,7 +214,7 @@ def _without_impact(v3, out):
     _fill(out, 0, SLOPES, 0.0)
     out[0, 0] = out[1, 1] = out[2, 2] = 1.0
     if v3 > 0.0:
-        return NO_FLAG
+        return code.NO_FLAG
     _fill(out, 2, 3, math.nan)
     return GRAZING
 
@@ -241,8 +222,8 @@ def _without_impact(v3, out):
 @always_inlined
 def _book(problem, values, event, rate, p3):
     """Add to row COMPRESSED what an event at P₃ does to the law's sum; return the sum's gain. (D14)"""
-    sign = 1.0 if event == COMPRESSION_ENDS else -1.0
-    row, per = (WORK_DONE, sign) if problem.counts == WORK else (NORMAL, -sign / rate)
+    sign = 1.0 if event == code.COMPRESSION_ENDS else -1.0
+    row, per = (WORK_DONE, sign) if problem.counts == code.WORK else (NORMAL, -sign / rate)
     combine(values, COMPRESSED, 1.0, COMPRESSED, per, row)
     return sign * p3
 
@@ -254,14 +235,14 @@ def _needed(problem, moves, rows):
     In stick nothing of the path is left but events before it, unless its work counts.
     """
     stop = last = -1
-    resumed = problem.counts == WORK
+    resumed = problem.counts == code.WORK
     for i in range(rows):
-        if moves[i, 0] == IN_RESUMED_SLIP:
+        if moves[i, 0] == code.IN_RESUMED_SLIP:
             resumed = True
-        if moves[i, 0] == IN_SLIP and moves[i + 1, 9] == 0.0 and problem.mu > 0.0:
+        if moves[i, 0] == code.IN_SLIP and moves[i + 1, 9] == 0.0 and problem.mu > 0.0:
             stop = i
     for i in range(stop + 1):
-        if moves[i, 6] != NO_EVENT or resumed:
+        if moves[i, 6] != code.NO_EVENT or resumed:
             last = i
     return last, stop
 
@@ -285,8 +266,8 @@ def _join(moves, rows):
         if left < i:
             moves[left, :] = moves[i, :]
         move, follower, speed = moves[left], moves[i + 1], moves[i, 9]
-        turns = move[0] == IN_SLIP and move[12] == 0.0 and move[6] == NO_EVENT and i + 1 < rows
-        if turns and follower[0] == IN_SLIP and follower[12] == 0.0:
+        turns = move[0] == code.IN_SLIP and move[12] == 0.0 and move[6] == code.NO_EVENT and i + 1 < rows
+        if turns and follower[0] == code.IN_SLIP and follower[12] == 0.0:
             t, u, end = 0.5 * move[10] * move[11], 0.5 * follower[10] * follower[11], moves[i + 2, 9]
             turned = t + u
             if t * u != 0.0 and abs(turned) <= 1.0 - t * u and speed < GROWTH * end and end < GROWTH * speed:
@@ -318,9 +299,9 @@ def _follow(problem, units, view, moves, values, rows, after3):
     Returns:
         flags of `Boundary`, and how many columns have no derivative, from the first on.
     """
-    boundary, unknown, rows = NO_FLAG, NONE_YET, _join(moves, rows)
+    boundary, unknown, rows = code.NO_FLAG, code.NONE_YET, _join(moves, rows)
     at_rest = problem.speed <= VANISHED
-    works = problem.counts == WORK
+    works = problem.counts == code.WORK
     unit, work_unit = (
         math.ldexp(1.0, view.scale_w - view.scale_v),
         math.ldexp(1.0, view.scale_w - 2 * view.scale_v),
@@ -347,25 +328,25 @@ def _follow(problem, units, view, moves, values, rows, after3):
             elif _repels(problem, move[7], move[8]):
                 boundary |= EVENTS_COINCIDE
             clear_rows(values, VT1, PATH)
-        if works and move[1] == COMPRESSION:
+        if works and move[1] == code.COMPRESSION:
             total += work_unit * move[4]
-        if event == NO_EVENT:
+        if event == code.NO_EVENT:
             continue
         if rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole:
             boundary, unknown = boundary | EVENTS_COINCIDE, ALL if last else max(unknown, ALL_BUT_E)
         _at_event(problem, works, values, after[14], after[15], p3, q1, q2)
-        turns = event != LAW_MET
+        turns = event != code.LAW_MET
         if turns:
             gained = _book(problem, values, event, rate, p3)
             total += 0.0 if works else gained
-        steep = turns or problem.counts == VELOCITY
+        steep = turns or problem.counts == code.VELOCITY
         if (steep and abs(rate) <= FLAT * steepest) or (
             rate < 0.0 and last and after3 <= FLAT * steepest * whole
         ):
             boundary, unknown = boundary | JUMP, ALL
         if last:
             _ending(problem, values, not turns, rate, after3, total)
-            on = after if move[0] == IN_SLIP and problem.mu > 0.0 else move
+            on = after if move[0] == code.IN_SLIP and problem.mu > 0.0 else move
             rate1, rate2 = _tangential_rate(problem, move[0], on[7], on[8], gain)
             _close(problem, values, rate1, rate2, rate, after[14], after[15], p3)
     return boundary, unknown
@@ -382,14 +363,14 @@ def _differentiate(problem, view, flags, moves, values, out, rows, after3):
     if mu == 0.0 or e == 0.0 or e == 1.0:
         boundary |= BOUND
     ratio = math.sqrt(problem.k1 * problem.k1 + problem.k2 * problem.k2)
-    threshold = flags & (SLIP_RESUMED | STICKS) > 0 and abs(ratio - mu) <= COINCIDENT * mu
+    threshold = flags & (code.SLIP_RESUMED | code.STICKS) > 0 and abs(ratio - mu) <= COINCIDENT * mu
     if threshold:
         boundary |= STICK_THRESHOLD
         _fill(out, BY_W, BY_W33, math.nan)
         _fill(out, BY_MU, BY_E, math.nan)
     turned = boundary & START_AT_REST > 0
     boundary &= ~START_AT_REST
-    if (problem.speed <= VANISHED or turned) and (flags & SLIP_RESUMED > 0 or threshold):
+    if (problem.speed <= VANISHED or turned) and (flags & code.SLIP_RESUMED > 0 or threshold):
         boundary |= START_AT_REST
         _fill(out, 0, 2, math.nan)
         if turned:
@@ -424,12 +405,12 @@ def differentiate_into(
     given = w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     result = Result(*solve_into(*given, scratch, moves, moves[:0]))
     write_result(i, result, numbers, codes)
-    if result.status == NO_IMPACT:
+    if result.status == code.NO_IMPACT:
         boundaries[i] = _without_impact(v3, out)
         return
-    boundaries[i] = RANK if result.flags & SINGULAR_DELASSUS else NO_FLAG
+    boundaries[i] = RANK if result.flags & code.SINGULAR_DELASSUS else code.NO_FLAG
     rows = result.trace_rows
-    if result.status > LOCKED or result.flags & LOCKS:
+    if result.status > code.LOCKED or result.flags & code.LOCKS:
         _fill(out, 0, SLOPES, math.nan)
         return
     _, _, _, view, problem = prepare(*given)
@@ -464,9 +445,9 @@ def differentiate_rows(
         if len(factors) > 0 and factors[i, 6] > 0.0:
             factor = factors[i]
         if asymmetry(w):
-            write_result(i, no_result(INDEFINITE_DELASSUS, 0.0), numbers, codes)
+            write_result(i, no_result(code.INDEFINITE_DELASSUS, 0.0), numbers, codes)
             _fill(out, 0, SLOPES, math.nan)
-            boundaries[i] = NO_FLAG
+            boundaries[i] = code.NO_FLAG
             continue
         differentiate_into(
             *(i, w[0, 0], 0.5 * (w[0, 1] + w[1, 0]), 0.5 * (w[0, 2] + w[2, 0]), w[1, 1]),

@@ -19,9 +19,8 @@ from ..._compile.declared import declared
 from ..._compile.jit import always_inlined, always_inlined_bitcode, inlined, inlined_bitcode
 from . import codes
 from .contact_problem import Problem
-from .delassus import ZERO
+from .delassus import ZERO, jacobi_angle
 from .laws import first_event
-from .resumed_slip import resumed_direction
 from .slip_equations import Polynomials, along_slip, in_frame, polynomials
 from .tolerances import NEAR_THRESHOLD
 
@@ -240,6 +239,42 @@ def slip_course(problem, units, state, fresh):
     course = Course(codes.IN_SLIP, rate, gain, -mu * s1, -mu * s2, until, ends_slip, m0, t1)
     state = State(s1, s2, speed, v3, turn, p1, p2, p3)
     return course, straight, state, Polynomials(t1, t2, t3, t4, m0, m1, m2, m3), bl, bp
+
+
+@inlined
+def resumed_direction(a11, a12, a22, b1, b2, mu):
+    """Solve (λI + μA)σ = b, |σ| = 1, for λ ≥ 0, given that stick is impossible (‖A⁺b‖ > μ). (5.2)
+
+    |(λI + μA)⁻¹b| falls steadily with λ, and its inverse is concave: Newton from a lower bound climbs
+    to the root without passing it.
+
+    Returns:
+        λ and the two components of the unit vector σ.
+    """
+    if a12 == 0.0:
+        cos, sin, low, high = 1.0, 0.0, mu * a11, mu * a22
+    else:
+        t, cos, sin = jacobi_angle(a11, a22, a12)
+        low, high = mu * (a11 - t * a12), mu * (a22 + t * a12)
+    low, high = max(low, 0.0), max(high, 0.0)
+    y1 = cos * b1 - sin * b2
+    y2 = sin * b1 + cos * b2
+    lam = max(0.0, abs(y1) - low, abs(y2) - high, math.hypot(y1, y2) - max(low, high))
+    x1 = x2 = 0.0
+    for _ in range(60):
+        d1, d2 = lam + low, lam + high
+        x1 = y1 / d1 if y1 != 0.0 else 0.0
+        x2 = y2 / d2 if y2 != 0.0 else 0.0
+        square = x1 * x1 + x2 * x2
+        norm = math.sqrt(square)
+        slope = (x1 * x1 / d1 if y1 != 0.0 else 0.0) + (x2 * x2 / d2 if y2 != 0.0 else 0.0)
+        step = (norm - 1.0) * square / slope
+        if not (lam + step > lam):
+            break
+        lam += step
+    norm = math.hypot(x1, x2)
+    x1, x2 = x1 / norm, x2 / norm
+    return lam, cos * x1 + sin * x2, cos * x2 - sin * x1
 
 
 @declared(Problem, State)

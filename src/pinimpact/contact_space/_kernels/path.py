@@ -5,21 +5,10 @@ from __future__ import annotations
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared, plain_tuple
 from ..._compile.jit import always_inlined, inlined, jit
-from . import codes
+from . import codes, moves
 from .contact_problem import PROCEEDS, prepare
 from .ending import Result, followed, not_begun
 from .ledger import close_move, left_to_gain, new_ledger
-from .moves import (
-    State,
-    frictionless_course,
-    jams,
-    leave_zero_slip,
-    mode_flag,
-    slip_course,
-    slip_units,
-    straight_move,
-    tangential_velocity,
-)
 from .recording import MOVE, record_course, record_move, record_point
 from .slip_equations import TERMS
 from .slip_works import WORK_SCRATCH
@@ -67,7 +56,7 @@ def solve_into(
     status, figure, flags, iterations, state, ledger, rows, points = _follow(
         problem, flags, scratch, trace, path
     )
-    u1, u2 = tangential_velocity(problem, state)
+    u1, u2 = moves.tangential_velocity(problem, state)
     velocity, impulse = (u1, u2, state.v3), (state.p1, state.p2, state.p3)
     return followed(
         *(view, problem, status, figure, flags, iterations, velocity, impulse, ledger),
@@ -77,27 +66,20 @@ def solve_into(
 
 @always_inlined
 def _follow(problem, flags, scratch, trace, path):
-    """Follow an impact from move to move.
-
-    Args:
-        problem: The `Problem`.
-        flags: Those of `prepare`.
-        scratch: See `solve_into`.
-        trace: See `solve_into`.
-        path: See `solve_into`.
+    """Follow an impact from move to move; for arguments see `prepare` and `solve_into`.
 
     Returns:
         how it ended, with the figure of an error's message; flags; the number of moves; the state and the
         ledger at its end; the numbers of rows and of points.
     """
-    units = slip_units(problem)
+    units = moves.slip_units(problem)
     coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 : 2 * TERMS + 6]
     nodes = scratch[2 * TERMS + 6 :]
     each = trace.shape[1] == MOVE
     traced = trace.shape[0] > 0 and not each
-    state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
+    state = moves.State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     ledger = new_ledger()
-    course = frictionless_course(problem)
+    course = moves.frictionless_course(problem)
     settled = problem.mu == 0.0  # from here on all rates are constant
     iterations, rows, points = 0, codes.NONE_YET, codes.NONE_YET
     if path.shape[0] > 0:
@@ -111,14 +93,14 @@ def _follow(problem, flags, scratch, trace, path):
         if not settled:
             if state.speed <= VANISHED:
                 settled = True
-                course, state, new_flags = leave_zero_slip(problem, state)
+                course, state, new_flags = moves.leave_zero_slip(problem, state)
                 flags |= new_flags
                 left = left_to_gain(ledger, problem.counts, state.v3)
             else:
-                course, straight, state, polynomials, bl, bp = slip_course(
+                course, straight, state, polynomials, bl, bp = moves.slip_course(
                     problem, units, state, iterations == 1
                 )
-                flags |= jams(course.rate)
+                flags |= moves.jams(course.rate)
                 turns = not straight
         before = state
         if turns:
@@ -127,15 +109,15 @@ def _follow(problem, flags, scratch, trace, path):
                 coefficients, reciprocals, nodes, problem, units, state, polynomials, bl, bp,
                 course.rate, ledger.phase, ledger.goal, left, traced, path, points,
             )  # fmt: skip
-            flags |= new_flags | jams(move.rate)
+            flags |= new_flags | moves.jams(move.rate)
         else:
-            move, state = straight_move(problem, units.omega, course, state, ledger.phase, left)
+            move, state = moves.straight_move(problem, units.omega, course, state, ledger.phase, left)
         if move.event == codes.NEVER:
             status, figure = codes.UNSTOPPABLE, state.v3
             if ledger.phase == codes.RESTITUTION:
                 status, figure = (codes.LOCKED if flags & codes.LOCKS else codes.LAW_UNREACHABLE), left
             return status, figure, flags, iterations, state, ledger, rows, points
-        flags |= mode_flag(course.mode, move.span, state.p3)
+        flags |= moves.mode_flag(course.mode, move.span, state.p3)
         if traced:
             start, works = state.p3 - move.span, (move.work, move.friction_work)
             rows = record_move(trace, rows, course.mode, ledger.phase, start, state.p3, *works)
@@ -146,7 +128,7 @@ def _follow(problem, flags, scratch, trace, path):
         )
         flags |= new_flags
         if path.shape[0] > 0:
-            u1, u2 = tangential_velocity(problem, state)
+            u1, u2 = moves.tangential_velocity(problem, state)
             points = record_point(path, points, state.p3, u1, u2, state.v3, state.p1, state.p2)
         if event == codes.LAW_MET:
             break

@@ -8,7 +8,8 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.coulomb_problem import solve_compliant
-from ..._numeric.loops import flags, repeated
+from ..._numeric.loops import filled, flags, repeated
+from ..._numeric.products import dot
 from ..._numeric.tolerances import ROUNDOFF, TINY
 from .tolerances import FOUND, MISSED, OPTIMAL
 
@@ -59,8 +60,7 @@ def plastic_impulses(w, v, friction, given, impulse):
             linear[a] += w[places[a], 3 * j + 2] * given[j] / largest
     x, s, z = np.empty(columns), np.empty(rows), np.empty(rows)
     cone_program(program, linear, signs, sides, n, repeated(cones, CONE), OPTIMAL, x, s, z)
-    for i in range(3 * n):
-        impulse[i] = 0.0
+    filled(impulse, 0.0)
     for a in range(columns):
         impulse[places[a]] = x[a] * unit
     for j in range(n):
@@ -131,9 +131,7 @@ def end_plastically(system, state, impulse, works):
     w, v = system.w, state.v
     stopped = True
     for i in range(len(v)):
-        change = 0.0
-        for k in range(len(v)):
-            change += w[i, k] * impulse[k]
+        change = dot(w[i], impulse)
         works[i // 3, 0 if i % 3 == 2 else 2] += (v[i] + 0.5 * change) * impulse[i]
     for i in range(len(v)):
         for k in range(len(v)):

@@ -18,12 +18,7 @@ as many on one around an invariant direction, which spans `SETTLED` e-folds."""
 
 @inlined
 def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work):
-    """Append a move to the trace, or lengthen the last row if it is the same.
-
-    Args:
-        trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
-        rows: How many there are.
-    """
+    """Append a move to the trace of `solve_into`, or lengthen its last row; return how many there are."""
     if rows > 0 and trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase:
         trace[rows - 1, 3] = end
         trace[rows - 1, 4] += normal_work
@@ -44,12 +39,8 @@ def record_course(trace, row, mode, phase, start, end, move):
     Args:
         trace: (m, MOVE) rows mode, phase, P₃ at start and end, normal work, 0, the event that ends it;
             σ₁, σ₂, speed and p₀ at its start; length, root and rate of the `Move`; P₁, P₂ at its start.
-        row: Which row, not the last.
+        row: Which row, not the last; the next one is returned.
         start, end: `State` before and after it.
-        move: The `Move`.
-
-    Returns:
-        the next row.
     """
     trace[row, 0], trace[row, 1] = mode, phase
     trace[row, 2], trace[row, 3] = start.p3, end.p3

@@ -200,12 +200,7 @@ def _add_sources(values, row, along, across, direction):
 @always_inlined
 def _left(values, row, k, whole):
     """Return what is left of an integral from four nodes on."""
-    return (
-        whole - values[row + k],
-        whole - values[row + k + 1],
-        whole - values[row + k + 2],
-        whole - values[row + k + 3],
-    )
+    return minus((whole, whole, whole, whole), four(values, row + k))
 
 
 @always_inlined

@@ -234,11 +234,6 @@ def locate(stepping, sought, stiff, at, h):
 def choose_step(stepping, at, stride):
     """Try a step of slip.
 
-    Args:
-        stepping: The `Stepping`.
-        at: Where the impact stands.
-        stride: Length of steps.
-
     Returns:
         whether it is taken; the next length; whether it is stiff, and ends slip; its length; the `Step`.
     """
@@ -270,15 +265,9 @@ def choose_step(stepping, at, stride):
 
 @always_inlined
 def first_event(stepping, at, stiff, tied, h, step):
-    """Return the first event on a step, its length up to there, and the step.
+    """Return the first event on a step of length h, its length up to there, and the step.
 
-    Args:
-        stepping: The `Stepping`.
-        at: Where the impact stands.
-        stiff: Whether the step is stiff.
-        tied: Whether v₃ comes to zero with slip, and is not told before it by rounding.
-        h: Length of the step.
-        step: The `Step`.
+    It is `tied` if v₃ comes to zero with slip, and is not told before it by rounding.
     """
     event, counts = codes.NO_EVENT, stepping.counts
     for sought in (V3_ZERO, GOAL):  # each search starts from the event found before
@@ -302,14 +291,7 @@ def first_event(stepping, at, stiff, tied, h, step):
 
 @always_inlined
 def slip_move(stepping, problem, at, rate, stride):
-    """Take a step of slip, up to the first event on it.
-
-    Args:
-        stepping: The `Stepping`.
-        problem: The `Problem`.
-        at: Where the impact stands.
-        rate: dv₃/dP₃ there.
-        stride: Length of steps.
+    """Take a step of slip, up to the first event on it, from where dv₃/dP₃ is the rate.
 
     Returns:
         whether it was taken; the length of the next one; the `Move`; where the impact then stands; flags.

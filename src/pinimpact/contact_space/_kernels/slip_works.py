@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._compile.jit import always_inlined, inlined
+from .sensitivities import four, keep, scaled
 from .slip_series import SETTLED, point
 
 NODES = 12
@@ -61,16 +62,15 @@ def _collocated(values, v3, size):
             term = values[NODES + j]
             s0, s1 = s0 + INTEGRALS[j, i] * term, s1 + INTEGRALS[j, i + 1] * term
             s2, s3 = s2 + INTEGRALS[j, i + 2] * term, s3 + INTEGRALS[j, i + 3] * term
-        k = 3 * NODES + i
-        values[k], values[k + 1] = values[i] * (v3 + size * s0), values[i + 1] * (v3 + size * s1)
-        values[k + 2], values[k + 3] = values[i + 2] * (v3 + size * s2), values[i + 3] * (v3 + size * s3)
+        speed = raised((size, size, size, size), (s0, s1, s2, s3), v3)
+        keep(values, 3 * NODES + i, product(four(values, i), speed))
     return size * _summed(values, 3), size * _summed(values, 1)
 
 
 @always_inlined
 def _places(i, x):
     """Return four nodes of (0, x), from the i-th on."""
-    return x * ABSCISSAE[i], x * ABSCISSAE[i + 1], x * ABSCISSAE[i + 2], x * ABSCISSAE[i + 3]
+    return scaled(x, four(ABSCISSAE, i))
 
 
 @always_inlined
@@ -93,15 +93,11 @@ def _kept(values, i, x, s, u, h, j0, j1, j2):
     even = product(x, u)
     slope = product(chord, (s[0] + even[0], s[1] + even[1], s[2] + even[2], s[3] + even[3]))
     rate = raised(raised((j2, j2, j2, j2), t, j1), t, j0)
-    whole, part = product(slope, chord), product(slope, rate)
-    w0, w1, w2, w3 = WEIGHTS[i], WEIGHTS[i + 1], WEIGHTS[i + 2], WEIGHTS[i + 3]
-    values[i], values[i + 1], values[i + 2], values[i + 3] = product(whole, (w0, w1, w2, w3))
-    k = NODES + i
-    values[k], values[k + 1], values[k + 2], values[k + 3] = product(part, (w0, w1, w2, w3))
-    k += NODES
-    values[k], values[k + 1], values[k + 2], values[k + 3] = slope
-    k += 2 * NODES
-    values[k], values[k + 1], values[k + 2], values[k + 3] = x
+    weights = four(WEIGHTS, i)
+    keep(values, i, product(product(slope, chord), weights))
+    keep(values, NODES + i, product(product(slope, rate), weights))
+    keep(values, 2 * NODES + i, slope)
+    keep(values, 4 * NODES + i, x)
 
 
 @inlined
@@ -140,12 +136,10 @@ def _rubbed(shape, values):
     """Return ∫ R dP₃ over the units of both, R at the start, and x, from what `_kept` has left."""
     q1, q2, q3, q4 = shape.q1, shape.q2, shape.q3, shape.q4
     for i in range(0, NODES, 4):
-        k, m, n = 2 * NODES + i, 3 * NODES + i, 4 * NODES + i
-        at = values[n], values[n + 1], values[n + 2], values[n + 3]
+        at = four(values, 4 * NODES + i)
         fall = raised(raised(raised(raised((q4, q4, q4, q4), at, q3), at, q2), at, q1), at, 1.0)
-        values[m], values[m + 1] = values[i] * values[k] * fall[0], values[i + 1] * values[k + 1] * fall[1]
-        values[m + 2] = values[i + 2] * values[k + 2] * fall[2]
-        values[m + 3] = values[i + 3] * values[k + 3] * fall[3]
+        rubs = product(four(values, i), four(values, 2 * NODES + i))
+        keep(values, 3 * NODES + i, product(rubs, fall))
     return _summed(values, 3)
 
 

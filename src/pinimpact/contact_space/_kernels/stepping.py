@@ -82,12 +82,7 @@ def _stepping_of(problem, table, rtol):
 
 @always_inlined
 def _follow(problem, flags, table, steps, rtol, trace, path):
-    """Follow an impact from step to step.
-
-    Args:
-        problem: The `Problem`.
-        flags: Those of `prepare`.
-        table, steps, rtol, trace, path: See `solve_stepping`.
+    """Follow an impact from step to step; for arguments see `prepare` and `solve_stepping`.
 
     Returns:
         how it ended, with the figure of an error's message; flags; the number of steps; where it stands and

@@ -48,18 +48,7 @@ def settling(tangent, mu, v1, v2):
 
 @inlined
 def stiff_step(tangent, mu, v1, v2, h, k):
-    """Take one step of slip from v_t over h.
-
-    Args:
-        tangent: A₁₁, A₁₂, A₂₂, b₁, b₂.
-        mu: Friction.
-        v1, v2: Tangential velocity at the start.
-        h: Increment of P₃.
-        k: (STAGES, 4) scratch.
-
-    Returns:
-        what `slip_steps.slip_step` does.
-    """
+    """Take one step of slip from v_t over h, as `slip_steps.slip_step` does; k is (STAGES, 4) scratch."""
     a11, a12, a22, b1, b2 = tangent
     speed = math.hypot(v1, v2)
     n1, n2 = -v2 / speed, v1 / speed

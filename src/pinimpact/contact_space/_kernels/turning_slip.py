@@ -99,17 +99,8 @@ def _near_event(
     around_invariant = whole = event != codes.NO_EVENT  # False, but no literal: see `codes`
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     series = SlipSeries(
-        around_invariant,
-        coefficients,
-        reciprocals,
-        shape,
-        scale,
-        mu,
-        lift[0],
-        lift[1],
-        lift[2],
-        v3,
-        state.speed,
+        *(around_invariant, coefficients, reciprocals, shape, scale, mu),
+        *(lift[0], lift[1], lift[2], v3, state.speed),
     )
     sought, aim, guess = codes.VELOCITY, goal if restoring else 0.0, 0.0
     bend = m0 - 0.5 * t1
@@ -218,15 +209,10 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
     """Find the first event on a series up to x.
 
     Args:
-        series: The `SlipSeries`.
-        nodes: Scratch for the works.
-        problem: The `Problem`.
-        axes: Those of `_far_series`.
-        x: How far it goes.
-        peaks: Whether v₃ has an extremum there.
+        axes, x, peaks: As `_far_series` returns them.
         rate: dv₃/dP₃ at its start.
         restoring: Whether it is restitution.
-        goal, left: See `turning_move`.
+        nodes, goal, left: See `turning_move`.
 
     Returns:
         the event and where it is; whether the contact keeps sliding for ever; the normal work, if that
@@ -278,16 +264,9 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
 
 @always_inlined
 def _state_after(problem, state, series, axes, event, x, end):
-    """Return the state at x on a series, dv₃/dP₃ there, and flags.
+    """Return the state at x on a series with the axes of `_far_series`, dv₃/dP₃ there, and flags.
 
-    Args:
-        problem: The `Problem`.
-        state: That at the start of the series.
-        series: The `SlipSeries`.
-        axes: Those of `_far_series`.
-        event: What ends the move.
-        x: Where.
-        end: What `_end_at` returns.
+    The state given is that at its start, the event what ends the move, and `end` what `_end_at` returns.
     """
     d1, d2, n1, _ = axes
     span, along, across, ratio, t, v3_end = end

@@ -15,22 +15,8 @@ import math
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.tolerances import EPS
+from ...geometry._kernels import constants as layout
 from ...geometry._kernels import surfaces
-from ...geometry._kernels.constants import (
-    AXES,
-    EDGE,
-    KIND,
-    LINE_AXIS,
-    POINT,
-    RADIUS,
-    RIM,
-    RIM_AXIS,
-    SIZE,
-    SPIN,
-    TIP,
-    TIP_PLANE,
-    VELOCITY,
-)
 from ...geometry._kernels.contact_axes import contact_axes
 from .placement import cross, direction, place, pose, rotate, rotate_back
 
@@ -42,9 +28,9 @@ def carried_axes(k, n1, n2, n3):
     a₁, a₂, a₃ are the axes in the constants, which `follow` n. So a scene's axes move with the surface and
     along it without a jump; those of an impact, `contact_axes` of n in world axes, jump where n passes −z.
     """
-    a1, a2, a3 = k[AXES], k[AXES + 1], k[AXES + 2]
-    b1, b2, b3 = k[AXES + 3], k[AXES + 4], k[AXES + 5]
-    e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
+    a1, a2, a3 = k[layout.AXES], k[layout.AXES + 1], k[layout.AXES + 2]
+    b1, b2, b3 = k[layout.AXES + 3], k[layout.AXES + 4], k[layout.AXES + 5]
+    e1, e2, e3 = k[layout.AXES + 6], k[layout.AXES + 7], k[layout.AXES + 8]
     w = max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, EPS)
     f, g = (a1 * n1 + a2 * n2 + a3 * n3) / w, (b1 * n1 + b2 * n2 + b3 * n3) / w
     m1, m2, m3 = e1 + n1, e2 + n2, e3 + n3
@@ -57,7 +43,7 @@ def carried_spin(k, n1, n2, n3, m1, m2, m3):
 
     It is n × ṅ − n (a₃·(n × ṅ))/(1 + a₃·n), for the axis of their rotation stays at right angles to a₃.
     """
-    e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
+    e1, e2, e3 = k[layout.AXES + 6], k[layout.AXES + 7], k[layout.AXES + 8]
     w1, w2, w3 = cross(n1, n2, n3, m1, m2, m3)
     f = (e1 * w1 + e2 * w2 + e3 * w3) / max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, EPS)
     return w1 - f * n1, w2 - f * n2, w3 - f * n3
@@ -71,13 +57,13 @@ def follow(R, S, k):
     """
     _, _, _, x1, x2, x3 = relative(R, S, k)
     _, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
-    c = k[AXES + 6] * n1 + k[AXES + 7] * n2 + k[AXES + 8] * n3
+    c = k[layout.AXES + 6] * n1 + k[layout.AXES + 7] * n2 + k[layout.AXES + 8] * n3
     if c >= 0.5:
         return
     axes = carried_axes(k, n1, n2, n3) if c > -0.99 else contact_axes(n1, n2, n3)
     for i in range(6):
-        k[AXES + i] = axes[i]
-    k[AXES + 6], k[AXES + 7], k[AXES + 8] = n1, n2, n3
+        k[layout.AXES + i] = axes[i]
+    k[layout.AXES + 6], k[layout.AXES + 7], k[layout.AXES + 8] = n1, n2, n3
 
 
 @inlined
@@ -86,8 +72,8 @@ def towards_plane(R, S, k):
 
     As (u × n) × u, which loses no digits where the rim lies flat on the plane and the length vanishes.
     """
-    u1, u2, u3 = direction(R, k, RIM_AXIS)
-    n1, n2, n3 = direction(S, k, AXES + 6)
+    u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
+    n1, n2, n3 = direction(S, k, layout.AXES + 6)
     w1, w2, w3 = cross(u1, u2, u3, n1, n2, n3)
     e1, e2, e3 = cross(w1, w2, w3, u1, u2, u3)
     return e1, e2, e3, math.sqrt(e1 * e1 + e2 * e2 + e3 * e3)
@@ -99,49 +85,49 @@ def relative(R, S, k):
 
     For a rim it is the lowest point, see `towards_plane`; for an edge the point closest to the other edge.
     """
-    c1, c2, c3 = place(R, k, TIP)
-    if k[RIM] > 0.0:
+    c1, c2, c3 = place(R, k, layout.TIP)
+    if k[layout.RIM] > 0.0:
         e1, e2, e3, s = towards_plane(R, S, k)
         if s > 0.0:
-            c1, c2, c3 = c1 - k[RIM] / s * e1, c2 - k[RIM] / s * e2, c3 - k[RIM] / s * e3
-    if k[KIND] == EDGE:
-        u1, u2, u3 = direction(R, k, RIM_AXIS)
-        e1, e2, e3 = direction(S, k, LINE_AXIS)
+            c1, c2, c3 = c1 - k[layout.RIM] / s * e1, c2 - k[layout.RIM] / s * e2, c3 - k[layout.RIM] / s * e3
+    if k[layout.KIND] == layout.EDGE:
+        u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
+        e1, e2, e3 = direction(S, k, layout.LINE_AXIS)
         f1, f2, f3 = cross(u1, u2, u3, e1, e2, e3)
         w1, w2, w3 = cross(f1, f2, f3, e1, e2, e3)
-        o1, o2, o3 = place(S, k, POINT)
+        o1, o2, o3 = place(S, k, layout.POINT)
         s = (w1 * (o1 - c1) + w2 * (o2 - c2) + w3 * (o3 - c3)) / (w1 * u1 + w2 * u2 + w3 * u3)
         c1, c2, c3 = c1 + s * u1, c2 + s * u2, c3 + s * u3
-    if k[KIND] == TIP_PLANE:
-        n1, n2, n3 = direction(R, k, RIM_AXIS)
-        c1, c2, c3 = place(S, k, POINT)
-        c1, c2, c3 = c1 + k[SIZE] * n1, c2 + k[SIZE] * n2, c3 + k[SIZE] * n3
+    if k[layout.KIND] == layout.TIP_PLANE:
+        n1, n2, n3 = direction(R, k, layout.RIM_AXIS)
+        c1, c2, c3 = place(S, k, layout.POINT)
+        c1, c2, c3 = c1 + k[layout.SIZE] * n1, c2 + k[layout.SIZE] * n2, c3 + k[layout.SIZE] * n3
     x1, x2, x3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
-    return c1, c2, c3, x1 - k[POINT], x2 - k[POINT + 1], x3 - k[POINT + 2]
+    return c1, c2, c3, x1 - k[layout.POINT], x2 - k[layout.POINT + 1], x3 - k[layout.POINT + 2]
 
 
 @inlined
 def edge_axis(R, S, k):
     """Return the direction (3) of a tip that is an edge, in the axes of the surface's carrier."""
-    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
     return rotate_back(S, u1, u2, u3)
 
 
 @inlined
 def distance(R, S, k, x1, x2, x3):
     """Return the signed distance of the tip's centre at x from the surface, and n (3), in its carrier's."""
-    if k[KIND] == EDGE:
+    if k[layout.KIND] == layout.EDGE:
         u1, u2, u3 = edge_axis(R, S, k)
-        n1, n2, n3 = cross(u1, u2, u3, k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2])
+        n1, n2, n3 = cross(u1, u2, u3, k[layout.LINE_AXIS], k[layout.LINE_AXIS + 1], k[layout.LINE_AXIS + 2])
         s = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
         n1, n2, n3 = n1 / s, n2 / s, n3 / s
-        return n1 * x1 + n2 * x2 + n3 * x3 - k[SIZE], n1, n2, n3
-    if k[KIND] == TIP_PLANE:
+        return n1 * x1 + n2 * x2 + n3 * x3 - k[layout.SIZE], n1, n2, n3
+    if k[layout.KIND] == layout.TIP_PLANE:
         n1, n2, n3 = edge_axis(R, S, k)
-        c1, c2, c3 = place(R, k, TIP)
+        c1, c2, c3 = place(R, k, layout.TIP)
         c1, c2, c3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
-        d = n1 * (c1 - k[POINT]) + n2 * (c2 - k[POINT + 1]) + n3 * (c3 - k[POINT + 2])
-        return d - k[SIZE], n1, n2, n3
+        d = n1 * (c1 - k[layout.POINT]) + n2 * (c2 - k[layout.POINT + 1]) + n3 * (c3 - k[layout.POINT + 2])
+        return d - k[layout.SIZE], n1, n2, n3
     return surfaces.distance(k, x1, x2, x3)
 
 
@@ -151,7 +137,7 @@ def at_contact(R, S, k):
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
     n1, n2, n3 = rotate(S, n1, n2, n3)
-    r = k[RADIUS]
+    r = k[layout.RADIUS]
     return d - r, n1, n2, n3, c1 - r * n1, c2 - r * n2, c3 - r * n3
 
 
@@ -161,8 +147,8 @@ def material_velocity(S, k, y1, y2, y3):
 
     y is from the surface's point; all in world axes.
     """
-    u1, u2, u3 = direction(S, k, VELOCITY)
-    o1, o2, o3 = direction(S, k, SPIN)
+    u1, u2, u3 = direction(S, k, layout.VELOCITY)
+    o1, o2, o3 = direction(S, k, layout.SPIN)
     a1, a2, a3 = cross(o1, o2, o3, y1, y2, y3)
     return u1 + a1, u2 + a2, u3 + a3, o1, o2, o3
 
@@ -257,7 +243,7 @@ def contact_rows(R, S, columns, signs, constants, on_surface, out):
         p1, p2, p3 = p1 - gap * n1, p2 - gap * n2, p3 - gap * n3
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
     fill_jacobian(columns, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
-    o1, o2, o3 = place(S, constants, POINT)
+    o1, o2, o3 = place(S, constants, layout.POINT)
     w1, w2, w3, _, _, _ = material_velocity(S, constants, p1 - o1, p2 - o2, p3 - o3)
     return (
         *(a1, a2, a3, b1, b2, b3, n1, n2, n3),

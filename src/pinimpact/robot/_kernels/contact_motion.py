@@ -16,16 +16,7 @@ from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
 from ...geometry._kernels import constants as layout
 from ...geometry._kernels import surfaces
-from .contact_kinematics import (
-    carried_axes,
-    carried_spin,
-    column,
-    distance,
-    edge_axis,
-    fill_jacobian,
-    material_velocity,
-    relative,
-)
+from . import contact_kinematics
 from .placement import cross, direction, place, rotate, rotate_back
 
 
@@ -37,8 +28,8 @@ def gap_and_rate(R, V, S, U, k):
     R and V are placement and velocity of the tip's joint, the latter in its axes at its origin; S and U the
     other's.
     """
-    c1, c2, c3, x1, x2, x3 = relative(R, S, k)
-    d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
+    c1, c2, c3, x1, x2, x3 = contact_kinematics.relative(R, S, k)
+    d, n1, n2, n3 = contact_kinematics.distance(R, S, k, x1, x2, x3)
     t1, t2, t3 = k[layout.TIP], k[layout.TIP + 1], k[layout.TIP + 2]
     if k[layout.RIM] > 0.0 or k[layout.KIND] >= layout.EDGE:
         t1, t2, t3 = rotate_back(R, c1 - R[9], c2 - R[10], c3 - R[11])
@@ -97,7 +88,7 @@ def bounds(J, signs, group, R, k, peak, h, reach):
                     own_a += turn * peak[1, j]
                     own_d += turn * peak[2, j]
                 single = m + 1 == n or group[m + 1] != group[m]
-            u1, u2, u3 = column(J, m, c1, c2, c3)
+            u1, u2, u3 = contact_kinematics.column(J, m, c1, c2, c3)
             turn = math.sqrt(J[3, m] ** 2 + J[4, m] ** 2 + J[5, m] ** 2)
             lever = math.sqrt(u1**2 + u2**2 + u3**2) + way * turn
             v, a, d, e = peak[0, m], peak[1, m], peak[2, m], peak[3, m]
@@ -182,14 +173,14 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     velocity v, acceleration dv/dt for the accelerations given, turning its part that is added in axes that
     stand still, surface the velocity of the surface relative to its carrier. See `carried_axes`.
     """
-    c1, c2, c3, x1, x2, x3 = relative(R, S, k)
-    d, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
+    c1, c2, c3, x1, x2, x3 = contact_kinematics.relative(R, S, k)
+    d, l1, l2, l3 = contact_kinematics.distance(R, S, k, x1, x2, x3)
     n1, n2, n3 = rotate(S, l1, l2, l3)
     p1, p2, p3 = c1 - k[layout.RADIUS] * n1, c2 - k[layout.RADIUS] * n2, c3 - k[layout.RADIUS] * n3
     w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
     at = c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3
     m1, m2, m3, _, _, _, dp1, dp2, dp3 = rates_at_contact(R, V, S, U, k, at)
-    s1, s2, s3 = carried_spin(k, l1, l2, l3, m1, m2, m3)
+    s1, s2, s3 = contact_kinematics.carried_spin(k, l1, l2, l3, m1, m2, m3)
     s1, s2, s3 = rotate(S, s1, s2, s3)
     s1, s2, s3 = U[3] + s1, U[4] + s2, U[5] + s3
     o1, o2, o3 = place(S, k, layout.POINT)
@@ -203,7 +194,7 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     g1, g2, g3 = A[0] - B[0] + a1 + b1, A[1] - B[1] + a2 + b2, A[2] - B[2] + a3 + b3
     # the surface's own motion u = u₀ + Ω × y, and its rate
     y1, y2, y3 = p1 - o1, p2 - o2, p3 - o3
-    u1, u2, u3, o1, o2, o3 = material_velocity(S, k, y1, y2, y3)
+    u1, u2, u3, o1, o2, o3 = contact_kinematics.material_velocity(S, k, y1, y2, y3)
     a1, a2, a3 = cross(o1, o2, o3, y1, y2, y3)
     a1, a2, a3 = cross(U[3], U[4], U[5], u1 - a1, u2 - a2, u3 - a3)
     e1, e2, e3 = cross(U[3], U[4], U[5], o1, o2, o3)
@@ -215,14 +206,14 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     a1, a2, a3 = cross(s1, s2, s3, v1, v2, v3)
     g1, g2, g3 = g1 - a1, g2 - a2, g3 - a3
     e1, e2, e3 = a1, a2, a3
-    a1, a2, a3, b1, b2, b3 = carried_axes(k, l1, l2, l3)
+    a1, a2, a3, b1, b2, b3 = contact_kinematics.carried_axes(k, l1, l2, l3)
     a1, a2, a3 = rotate(S, a1, a2, a3)
     b1, b2, b3 = rotate(S, b1, b2, b3)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, v1, v2, v3, velocity)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, g1, g2, g3, acceleration)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, e1, e2, e3, turning)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
-    fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
+    contact_kinematics.fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
     return d - k[layout.RADIUS]
 
 
@@ -276,7 +267,7 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
     of the joints; w is the angular velocity of the tip in world axes, all other vectors in the axes of the
     surface's carrier, and against it.
     """
-    u1, u2, u3 = edge_axis(R, S, k)
+    u1, u2, u3 = contact_kinematics.edge_axis(R, S, k)
     e1, e2, e3 = k[layout.LINE_AXIS], k[layout.LINE_AXIS + 1], k[layout.LINE_AXIS + 2]
     a1, a2, a3 = rotate_back(S, w1, w2, w3)
     a1, a2, a3 = cross(a1, a2, a3, u1, u2, u3)

@@ -13,15 +13,14 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.products import dot
 from .tree import solve_transposed
 
 
 @inlined
 def _take_out(direction, row):
     """Subtract from a row its component along a unit direction, and return that."""
-    part = 0.0
-    for j in range(len(row)):
-        part += direction[j] * row[j]
+    part = dot(direction, row)
     for j in range(len(row)):
         row[j] -= part * direction[j]
     return part

@@ -8,6 +8,8 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import assign
+from ..._numeric.products import dot
 from ..._numeric.tolerances import ROUNDING
 from .tree import factor, solve, solve_transposed
 
@@ -41,13 +43,8 @@ def respond(lower, parents, mobility, y, delassus, response):
     """Fill `delassus` (m, m) with y yᵀ and `response` (m, nv) with D L⁻¹ y for rows y of `half_solve`."""
     for a in range(len(y)):
         for b in range(a + 1):
-            total = 0.0
-            for i in range(y.shape[1]):
-                total += y[a, i] * y[b, i]
-            delassus[a, b] = total
-            delassus[b, a] = total
-        for i in range(y.shape[1]):
-            response[a, i] = y[a, i]
+            delassus[a, b] = delassus[b, a] = dot(y[a], y[b])
+        assign(response[a], y[a])
     solve(lower, parents, response)
     for row in response:
         for i in range(len(row)):

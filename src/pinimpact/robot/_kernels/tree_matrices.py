@@ -13,17 +13,8 @@ from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.tolerances import HALF_DIGITS
+from . import robot_workspace
 from .placement import rotate, slide, turn_by, turn_by_quaternion
-from .robot_workspace import (
-    FREE_FLYER,
-    PLANAR,
-    PRISMATIC,
-    REVOLUTE,
-    SPHERICAL,
-    TRANSLATION,
-    UNBOUNDED,
-    RobotWorkspace,
-)
 
 BODY = 22
 """Numbers of a joint: its placement, then mass, centre and inertia of its composite body."""
@@ -64,8 +55,8 @@ def _turn_about(R, a, cos, sin):
 def _move(work, j, q, R):
     """Move joint j's placement by its coordinates; return whether they are normalized."""
     kind, axis, at = work.joint_kind[j], work.joint_axis[j], work.joint_q[j]
-    if kind in (REVOLUTE, UNBOUNDED):
-        if kind == REVOLUTE:
+    if kind in (robot_workspace.REVOLUTE, robot_workspace.UNBOUNDED):
+        if kind == robot_workspace.REVOLUTE:
             cos, sin = math.cos(q[at]), math.sin(q[at])
         else:
             cos, sin = q[at], q[at + 1]
@@ -73,19 +64,19 @@ def _move(work, j, q, R):
             _turn(R, axis, cos, sin)
         else:
             _turn_about(R, work.velocity_axis[work.joint_v[j]], cos, sin)
-        return kind == REVOLUTE or abs(math.sqrt(cos * cos + sin * sin) - 1.0) <= HALF_DIGITS
-    if kind == PRISMATIC:
+        return kind == robot_workspace.REVOLUTE or abs(math.sqrt(cos * cos + sin * sin) - 1.0) <= HALF_DIGITS
+    if kind == robot_workspace.PRISMATIC:
         a = work.velocity_axis[work.joint_v[j]]
         slide(R, q[at] * a[0], q[at] * a[1], q[at] * a[2])
         return True
-    if kind == PLANAR:
+    if kind == robot_workspace.PLANAR:
         slide(R, q[at], q[at + 1], 0.0)
         _turn(R, 2, q[at + 2], q[at + 3])
         return abs(math.sqrt(q[at + 2] * q[at + 2] + q[at + 3] * q[at + 3]) - 1.0) <= HALF_DIGITS
-    if kind in (TRANSLATION, FREE_FLYER):
+    if kind in (robot_workspace.TRANSLATION, robot_workspace.FREE_FLYER):
         slide(R, q[at], q[at + 1], q[at + 2])
         at += 3
-    if kind in (SPHERICAL, FREE_FLYER):
+    if kind in (robot_workspace.SPHERICAL, robot_workspace.FREE_FLYER):
         x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
         turn_by_quaternion(R, x, y, z, w)
         return abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) <= HALF_DIGITS
@@ -136,7 +127,7 @@ def _own_inertia(body, inertia):
     body[21] = a3 * r3 + b3 * r6 + d3 * r9
 
 
-@declared(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, result=bool)
+@declared(robot_workspace.RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, result=bool)
 @external
 def tree_matrices(work, q, bodies, columns, mass):
     """Evaluate a kinematic tree at q (nq,); return whether q is normalized.
@@ -205,7 +196,7 @@ def tree_matrices(work, q, bodies, columns, mass):
     return normalized
 
 
-@declared(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS)
+@declared(robot_workspace.RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS)
 @jit
 def evaluate_tree(work, q, bodies, columns, mass):
     """Call `tree_matrices` from Python."""

@@ -24,7 +24,7 @@ from ..._numeric.coulomb_problem import (
 )
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, nonzero, repeated
+from ..._numeric.loops import assign, filled, nonzero, repeated
 from .tolerances import NEGLIGIBLE
 
 AT_REST, AS_BEFORE, NONE = range(3)
@@ -47,14 +47,12 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
         before: (3 nc + ns,) forces of before.
         unique: Whether no others have the same effects; else the limit of small compliances comes first.
 
-    Returns:
-        Whether forces were found.
+    Returns whether forces were found.
     """
     nc, size = len(mu), len(x)
     starts = (AT_REST, AT_REST, AS_BEFORE, NONE)  # first of the limit of small compliances
     width, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    for a in range(size):
-        x[a] = 0.0
+    filled(x, 0.0)
     if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
         return True
     trial, found = np.empty(size), False
@@ -65,8 +63,7 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
         elif start == AS_BEFORE:
             assign(trial, before)
         else:
-            for a in range(size):
-                trial[a] = 0.0
+            filled(trial, 0.0)
         if soft:
             off = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
         elif start == NONE:
@@ -105,8 +102,7 @@ def at_rest(delassus, free, slip, mu, held, lower, upper, pressed, x):
         moves[3 * k] = moves[3 * k + 1] = held[k] or (pressed[k] and not slides)
     for m in range(len(lower)):  # dry joints rest, unless that is beyond their bounds
         moves[3 * nc + m] = pressed[nc + m] or -math.inf < lower[m] <= upper[m] < math.inf
-    for a in range(size):
-        x[a] = 0.0
+    filled(x, 0.0)
     beyond = True
     while beyond:  # joints beyond their bounds are at them
         stop_rows(delassus, free, drag, nonzero(moves), x)

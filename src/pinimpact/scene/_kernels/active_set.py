@@ -10,7 +10,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, dec
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, nonzero
+from ..._numeric.loops import assign, filled, nonzero
 from ..._numeric.tolerances import LITTLE
 from .contact_forces import FREE, HELD, SLIP
 from .tolerances import DIFFERENT, NEGLIGIBLE
@@ -57,13 +57,8 @@ def close(work, reference):
     for i in contacts:
         rows += 1 if modes[i] == SLIP else 3
     work.active_contacts, work.active_scalars, work.active_rows = len(contacts), len(scalars), rows
-    index, mode, mu, rest, slip = (
-        work.active_index,
-        work.active_mode,
-        work.active_friction,
-        work.active_rest_gap,
-        work.slip_reference,
-    )
+    index, mode, mu = work.active_index, work.active_mode, work.active_friction
+    rest, slip = work.active_rest_gap, work.slip_reference
     for k in range(len(contacts)):
         i = contacts[k]
         index[k], mode[k], mu[k], rest[k] = i, modes[i], work.friction[i], work.rest_gap[i]
@@ -72,9 +67,7 @@ def close(work, reference):
     for m in range(len(scalars)):
         velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m], held)
     work.forces_unique = True
-    known = work.inner_forces
-    for m in range(len(known)):
-        known[m] = 0.0
+    filled(work.inner_forces, 0.0)
 
 
 @declared(SceneWorkspace, INTEGERS, FLOATS, INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS)
@@ -106,11 +99,7 @@ def close_held(work):
 def active_rows(work, v, which, rows, speeds):
     """Fill rows (m, nv), zero before, and their velocities [m/s] of what is closed; return how many.
 
-    Args:
-        work: The workspace, at the state last evaluated.
-        v: (nv,) velocity.
-        which: `NORMAL` or `ALL`, of contacts that slip.
-        rows, speeds: With room for three rows a contact and the scalar rows.
+    That is at the state last evaluated; of contacts that slip `which` rows, `NORMAL` or `ALL`.
     """
     mode, jacobian, velocity = work.active_mode, work.contact_jacobian, work.contact_velocity
     total = 0

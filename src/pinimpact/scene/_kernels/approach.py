@@ -27,8 +27,7 @@ def fastest_approach(work, q, v, starting, parting, where, slow):
     gap is known better, such as those of the far corners of a box that turns about an edge onto its face.
 
     Args:
-        q: (nq,) configuration.
-        v: (nv,) velocity.
+        q, v: The state.
         starting: Whether the motion starts now, so that what touches has just closed its gap.
         parting: Speed above which what touches is open: it takes no part in impacts of others [m/s].
         where: (n + nl,) `APART`, `TOUCHING`, `ARRIVING` or `STRUCK`; what is near is added.

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, filled
 from ..._numeric.products import apply, dot
 from .active_set import stop_along
 from .slip import fastest_of
@@ -52,8 +52,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
         if first < size:
             # a joint whose row hardly differs from those of contacts rests but for its error
             energy += stop_chosen(minverse, rows[:first], resting, start, before, least, v)[0]
-        for a in range(size):
-            on[a] = 0
+        filled(on, 0)
         while True:
             slowest, a = math.inf, -1
             for b in range(first, size):
@@ -133,19 +132,10 @@ def velocity_of(rows, start, before, v, a):
 @declared(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
 @external
 def stop_chosen(minverse, rows, stopped, start, before, least, v):
-    """Stop the chosen rows, if any of them is faster than the least speed that matters.
+    """Stop rows that are `stopped`, if any of them is faster than the least speed that matters.
 
-    Args:
-        minverse: (nv, nv) M⁻¹.
-        rows: (k, nv) rows of velocities, the first of all.
-        stopped: (m,) which of all are to vanish.
-        start: (m,) what they were at the velocity `before` (nv,).
-        before: See above.
-        least: That speed.
-        v: (nv,) the velocity, which is changed.
-
-    Returns:
-        The kinetic energy gained, and the fastest speed that was taken away.
+    Rows (k, nv) are the first of m, whose velocities were `start` (m,) at the velocity `before` (nv,). Other
+    arguments and results as of `come_to_rest`.
     """
     taken, speeds = np.empty(rows.shape), np.empty(len(rows))
     fastest, total = 0.0, 0

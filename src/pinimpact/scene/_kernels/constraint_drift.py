@@ -17,12 +17,8 @@ from .workspace import SceneWorkspace
 @inlined
 def constraint_drift(work, v):
     """Return how far the closed contacts are from where they rest [m], or from rest [m/s]."""
-    mode, rest, velocity, gap = (
-        work.active_mode,
-        work.active_rest_gap,
-        work.contact_velocity,
-        work.contact_gap,
-    )
+    mode, velocity = work.active_mode, work.contact_velocity
+    gap, rest = work.contact_gap, work.active_rest_gap
     worst = 0.0
     for k in range(len(mode)):
         worst = max(worst, abs(gap[k] - rest[k]), abs(velocity[k, 2]))
@@ -38,18 +34,11 @@ def constraint_drift(work, v):
 def correct_constraint_drift(work, t, q, v):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
 
-    Args:
-        t: Time [s].
-        q: (nq,) the configuration, which is changed.
-        v: (nv,) the velocity, which is changed.
+    The configuration (nq,) and the velocity (nv,) at a time [s] are changed.
     """
     index_q, index_v, bound = work.limit_q, work.limit_v, work.limit_bound
-    minverse, jacobian, gap, rest = (
-        work.minverse,
-        work.contact_jacobian,
-        work.contact_gap,
-        work.active_rest_gap,
-    )
+    minverse, jacobian = work.minverse, work.contact_jacobian
+    gap, rest = work.contact_gap, work.active_rest_gap
     closed, metres = work.modes[work.contacts :][: work.limits], work.joint_metres
     n, nc, ns, nl = len(v), work.active_contacts, work.active_scalars, work.limits
     rates = np.empty(n + 4)

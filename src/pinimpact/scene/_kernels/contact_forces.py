@@ -38,13 +38,8 @@ def slip_direction(velocity, reference, slowest):
 @inlined
 def joint_forces(work, powers):
     """Fill τ = control − damping q̇ − dry friction, and the powers of the control and in the joints."""
-    velocity, control, damping, friction, tau = (
-        work.v,
-        work.control_force,
-        work.damping,
-        work.sliding_friction,
-        work.tau,
-    )
+    velocity, control, tau = work.v, work.control_force, work.tau
+    damping, friction = work.damping, work.sliding_friction
     given = taken = 0.0
     for j in range(len(velocity)):
         lost = damping[j] * velocity[j] + friction[j]
@@ -58,13 +53,9 @@ def joint_forces(work, powers):
 def set_up_equations(work, acceleration):
     """Set up the equations of what is closed: `equation_rows`, `force_response`, `system`, `target`.
 
-    Args:
-        work: The workspace, with M⁻¹ and the motion of the closed contacts without contact forces.
-        acceleration: (nv,) v̇ without contact forces.
-
-    Returns:
-        The least effective inverse inertia of a slipping contact over that without friction (at most zero:
-        Painlevé's paradox).
+    The workspace has M⁻¹ and the motion of the closed contacts without contact forces, for v̇ (nv,). Returned
+    is the least effective inverse inertia of a slipping contact over that without friction (at most zero:
+    Painlevé's paradox).
     """
     minverse, jacobian, free = work.minverse, work.contact_jacobian, work.contact_acceleration
     mode, mu, directions = work.active_mode, work.active_friction, work.slip_direction
@@ -332,15 +323,10 @@ def missed_by(work, x):
 
 @inlined
 def apply_forces(work, acceleration, powers):
-    """Take the forces from `solution`: add what they cause, fill `contact_force` and `scalar_force`.
+    """Take the forces from `solution`: add what they cause to v̇, fill `contact_force` and `scalar_force`.
 
-    Args:
-        work: The workspace, with the equations set up and solved.
-        acceleration: (nv,) updated.
-        powers: (2,) takes the powers of sliding friction and of moving surfaces [W].
-
-    Returns:
-        By how much the forces keep within Coulomb's law and the bounds [N]; below zero, they do not.
+    Powers (2,) takes those of sliding friction and of moving surfaces [W]. Returned is by how much the forces
+    keep within Coulomb's law and the bounds [N]; below zero, they do not.
     """
     solution, response, directions = work.solution, work.force_response, work.slip_direction
     velocity, surface = work.contact_velocity, work.surface_velocity

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.loops import assign, flags, nonzero
+from ..._numeric.loops import assign, filled, flags, nonzero
+from . import touching_rows
 from .acting_forces import driven_in
 from .active_set import close, stop_along
 from .approach import PRESSED, SLIDES, TOUCHES
@@ -21,15 +22,6 @@ from .contact_forces import FREE, HELD, SLIP, STICK, delassus_of_rows
 from .dynamics import evaluate_without_contacts, invert_mass_matrix, set_state
 from .slip import CERTAIN, behind, error_of_step, fastest_of
 from .tolerances import AT_BOUND, STILL
-from .touching_rows import (
-    determines_forces,
-    forces_on,
-    keep_forces,
-    keeps_sliding,
-    resulting_accelerations,
-    rows_of_touching,
-    speeds_of_rows,
-)
 from .workspace import SceneWorkspace
 
 ROUNDS = 4
@@ -67,8 +59,7 @@ def set_modes(work, t, q, v, slow):
     dry, sliding, metres = work.dry_friction, work.sliding_friction, work.joint_metres
     n, touching = len(v), len(slow)
     candidates, modes = np.zeros(touching + n, dtype=np.int64), np.zeros(touching + n, dtype=np.int64)
-    for i in range(touching):
-        candidates[i] = slow[i]
+    assign(candidates[:touching], slow)
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
     rejected, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
     chosen, dragged = Choice(modes, reference, breaking, rejected), np.zeros(n, dtype=np.int64)
@@ -103,8 +94,7 @@ def set_modes(work, t, q, v, slow):
         if not released and much and certain > error:
             # sticking that changes other velocities by more than the error of a step is rejected (11.8)
             certain, released = error, True
-            for j in range(n):
-                dragged[j] = 0  # by contacts that may not stick
+            filled(dragged, 0)  # by contacts that may not stick
         elif not released and drags:
             released = True
             for i in range(touching):
@@ -114,8 +104,7 @@ def set_modes(work, t, q, v, slow):
                 if rejected[touching + j] != 0:
                     dragged[j] = rejected[touching + j]
         if released:
-            for i in range(len(rejected)):
-                rejected[i] = 0
+            filled(rejected, 0)
             assign(v, before)
             assign(sliding, slid)
             energy, stopped, tried = 0.0, math.inf, 0
@@ -134,9 +123,7 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
 
     Args:
         work: The workspace, with the modes that hold until now.
-        t: Time [s].
-        q: (nq,) configuration.
-        v: (nv,) the velocity; what active contacts and joints stop of it is removed.
+        t, q, v: Time [s] and state; what active contacts and joints stop of the velocity is removed.
         candidates: Not zero for what touches, in the order of the modes; as `approach` says, and
             `PRESSED` for joints that their dry friction has held.
         certain: The speed above which a sliding contact keeps sliding [m/s].
@@ -152,28 +139,28 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     evaluate_without_contacts(work, t, np.empty(2))
     if work.callback_failed or not invert_mass_matrix(work):
         return -1, True, 0.0, 0.0, 0.0
-    what = rows_of_touching(work, v, candidates, certain)
+    what = touching_rows.rows_of_touching(work, v, candidates, certain)
     size = len(what.free)
     response, delassus, force = np.empty(what.rows.shape), np.empty((size, size)), np.empty(size)
     delassus_of_rows(what.rows, work.minverse, response, delassus)
-    unique = determines_forces(delassus)
-    converged = forces_on(work, what, delassus, candidates, unique, force)
+    unique = touching_rows.determines_forces(delassus)
+    converged = touching_rows.forces_on(work, what, delassus, candidates, unique, force)
     # if not found, then the nearest to it
     jamming = -1 if converged else driven_in(delassus, what.free, what.slip, what.mu, what.held, force)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(what.rows[b : b + 1], what.velocity[jamming, 2:], work.minverse, v)
         return what.contacts[jamming], True, gained, 0.0, 0.0
-    keep_forces(work, what, force)
+    touching_rows.keep_forces(work, what, force)
     stopped, against = flags(size, False), np.zeros(size)  # rows at rest, and those that leave it, see below
     pace = np.empty(size)
-    resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, pace)
+    touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, pace)
     modes_of_contacts(work, what, force, unique, pace, stopped, chosen)
     reject_contacts(work, what, stopped, certain, chosen.rejected)
     scalar = candidates[work.contacts :]
     modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen)
     start = np.empty(size)
-    off = speeds_of_rows(work, what, v, start)
+    off = touching_rows.speeds_of_rows(work, what, v, start)
     gained, fastest = stop(work, what, candidates, start, stopped, against, chosen, v)
     return -1, converged, gained, fastest, off
 
@@ -182,8 +169,7 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
 def clear(work, chosen):
     """Clear a `Choice`, but for contacts and limits that separate, or rub, if they stay open."""
     modes, reference, breaking, rejected = chosen
-    for i in range(len(modes)):
-        modes[i] = FREE
+    filled(modes, FREE)
     for i in range(len(reference)):
         reference[i, 0] = reference[i, 1] = 0.0
     for j in range(len(breaking)):
@@ -258,7 +244,9 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     for k in range(len(contacts)):
         b, i = 3 * k, contacts[k]
         if stopped[b] and not held[k]:
-            moves[b] = moves[b + 1] = keeps_sliding(work, i, velocity[k, 0], velocity[k, 1], 0.0)
+            moves[b] = moves[b + 1] = touching_rows.keeps_sliding(
+                work, i, velocity[k, 0], velocity[k, 1], 0.0
+            )
         if modes[i] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0:
             turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
             stopped[b], against[b] = False, -1.0
@@ -292,16 +280,10 @@ def turn_rows(direction, rows, velocity):
 
 @inlined
 def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
-    """Fill modes and directions of slip, and which velocities vanish, from the forces on the contacts.
+    """Fill modes and directions of slip, and which velocities are `stopped` (m,), from forces on contacts.
 
-    Args:
-        work: The workspace, with the modes that hold until now.
-        what: What is `Touching`, with accelerations that include the forces.
-        force: (m,) forces.
-        unique: Whether no other forces have the same effects.
-        pace: (m,) accelerations that count as none.
-        stopped: (m,) takes whether the velocity of a row becomes zero.
-        chosen: The `Choice` to be filled.
+    `what` is `Touching`, with accelerations that include the forces; other arguments as of
+    `resulting_accelerations`.
     """
     contacts, _, _, _, velocity, acceleration, slip, mu, held, _, _ = what
     before, modes, reference = work.modes, chosen.modes, chosen.reference

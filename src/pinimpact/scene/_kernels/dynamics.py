@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, filled
 from ..._numeric.semidefinite import solve_definite
 from ...geometry._kernels.constants import RADIUS
 from ...robot._kernels import contact_kinematics, contact_motion
@@ -51,28 +51,25 @@ def compute_kinematics(work):
 
 
 @inlined
-def contact_gap(work, i):
-    """Return gap and gap rate of a contact at the kinematics last computed."""
+def gap_of(work, i, constants):
+    """Return gap and gap rate at the joints of a contact, at the kinematics last computed."""
     placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
     tip, base = joints[i, 0], joints[i, 1]
     return contact_motion.gap_and_rate(
-        placements[tip], velocities[tip], placements[base], velocities[base], work.contact_constants[i]
+        placements[tip], velocities[tip], placements[base], velocities[base], constants
     )
 
 
 @inlined
-def sphere_gap(work, k, first):
-    """Return gap and gap rate of a sphere that bounds contacts, at the kinematics last computed.
+def contact_gap(work, i):
+    """Return gap and gap rate of a contact."""
+    return gap_of(work, i, work.contact_constants[i])
 
-    Args:
-        k: Which sphere.
-        first: Its first contact.
-    """
-    placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
-    tip, base = joints[first, 0], joints[first, 1]
-    return contact_motion.gap_and_rate(
-        placements[tip], velocities[tip], placements[base], velocities[base], work.sphere_constants[k]
-    )
+
+@inlined
+def sphere_gap(work, k, first):
+    """Return gap and gap rate of a sphere that bounds contacts, given the first of them."""
+    return gap_of(work, first, work.sphere_constants[k])
 
 
 @declared(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS)
@@ -131,9 +128,7 @@ def all_gaps(work, q, v, found):
 @external
 def set_signs(work, i):
     """Set which velocities move the tip of a contact, or its surface, only."""
-    signs = work.velocity_signs
-    for c in range(len(signs)):
-        signs[c] = 0.0
+    signs = filled(work.velocity_signs, 0.0)
     for end in range(2):
         c = work.joint_velocity[work.contact_joints[i, end]]
         while c >= 0:
@@ -179,27 +174,12 @@ def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
 @inlined
 def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration, turning, surface):
     """Fill the motion of a contact, with some columns of the joint Jacobian and their signs."""
-    placements, velocities, accelerations = (
-        work.placements,
-        work.spatial_velocities,
-        work.spatial_accelerations,
-    )
+    places, velocities, accelerations = work.placements, work.spatial_velocities, work.spatial_accelerations
     tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
     return contact_motion.contact_motion(
-        placements[tip],
-        velocities[tip],
-        accelerations[tip],
-        placements[base],
-        velocities[base],
-        accelerations[base],
-        work.contact_constants[i],
-        columns,
-        signs,
-        jacobian,
-        velocity,
-        acceleration,
-        turning,
-        surface,
+        *(places[tip], velocities[tip], accelerations[tip], places[base], velocities[base]),
+        *(accelerations[base], work.contact_constants[i], columns, signs),
+        *(jacobian, velocity, acceleration, turning, surface),
     )
 
 
@@ -247,20 +227,14 @@ def evaluate(work, t, out):
     acceleration = work.acceleration
     n = len(acceleration)
     evaluate_without_contacts(work, t, out[n:])
-    for j in range(n):
-        out[j] = acceleration[j]
+    assign(out[:n], acceleration)
     if work.active_contacts + work.active_scalars == 0 or work.callback_failed:
         return
     if not invert_mass_matrix(work):
         return
     motion_of_contacts(
-        work,
-        work.active_index,
-        work.contact_jacobian,
-        work.contact_velocity,
-        work.contact_acceleration,
-        work.surface_velocity,
-        work.contact_gap,
+        *(work, work.active_index, work.contact_jacobian, work.contact_velocity),
+        *(work.contact_acceleration, work.surface_velocity, work.contact_gap),
     )
     effective = contact_forces.set_up_equations(work, out[:n])
     system, target = work.system, work.target
@@ -270,8 +244,7 @@ def evaluate(work, t, out):
         for b in range(len(target)):
             total += system[a, b]
     if not math.isfinite(total):  # a stage far off; the step will be refused
-        for j in range(len(out)):
-            out[j] = math.nan
+        filled(out, math.nan)
         return
     orientation, rubs = 0, contact_forces.rubs(work)
     if rubs:

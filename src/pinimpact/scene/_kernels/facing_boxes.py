@@ -20,19 +20,9 @@ from ..._compile.declared import (
     declared,
 )
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import assign, filled
+from ...geometry._kernels import constants as layout
 from ...geometry._kernels.box_patch import MOST, box_patch
-from ...geometry._kernels.constants import (
-    AXES,
-    KIND,
-    LINE_AXIS,
-    PLANE,
-    POINT,
-    RADIUS,
-    RIM_AXIS,
-    SIZE,
-    TIP,
-    TIP_PLANE,
-)
 from ...geometry._kernels.contact_axes import contact_axes
 from ...robot._kernels.placement import place, rotate, rotate_back
 from .dynamics import compute_kinematics, set_state
@@ -56,34 +46,41 @@ def fill_contact(row, tip, base, normal, point, other, kind, edges, radius, size
         edges: (2, 3) directions of edges in contact.
         radius, size: Radii about the cores of the two shapes [m].
     """
-    for e in range(len(row)):
-        row[e] = 0.0
-    row[RADIUS], row[SIZE] = (0.0 if kind == TIP_PLANE else radius), (0.0 if kind == PLANE else size)
+    filled(row, 0.0)
+    r = row[layout.RADIUS] = 0.0 if kind == layout.TIP_PLANE else radius
+    s = row[layout.SIZE] = 0.0 if kind == layout.PLANE else size
     n1, n2, n3 = normal
-    r, s = row[RADIUS], row[SIZE]
-    row[TIP], row[TIP + 1], row[TIP + 2] = rotate_back(
-        tip, point[0] + r * n1 - tip[9], point[1] + r * n2 - tip[10], point[2] + r * n3 - tip[11]
+    put(
+        row,
+        layout.TIP,
+        rotate_back(
+            tip, point[0] + r * n1 - tip[9], point[1] + r * n2 - tip[10], point[2] + r * n3 - tip[11]
+        ),
     )
-    row[POINT], row[POINT + 1], row[POINT + 2] = rotate_back(
-        base, other[0] - s * n1 - base[9], other[1] - s * n2 - base[10], other[2] - s * n3 - base[11]
+    put(
+        row,
+        layout.POINT,
+        rotate_back(
+            base, other[0] - s * n1 - base[9], other[1] - s * n2 - base[10], other[2] - s * n3 - base[11]
+        ),
     )
     n1, n2, n3 = rotate_back(base, normal[0], normal[1], normal[2])
     axes = contact_axes(n1, n2, n3)
     for e in range(6):
-        row[AXES + e] = axes[e]
-    row[AXES + 6], row[AXES + 7], row[AXES + 8] = n1, n2, n3
-    row[KIND] = kind
-    if kind == TIP_PLANE:
-        row[RIM_AXIS], row[RIM_AXIS + 1], row[RIM_AXIS + 2] = rotate_back(
-            tip, normal[0], normal[1], normal[2]
-        )
-    elif kind != PLANE:
-        row[RIM_AXIS], row[RIM_AXIS + 1], row[RIM_AXIS + 2] = rotate_back(
-            tip, edges[0, 0], edges[0, 1], edges[0, 2]
-        )
-        row[LINE_AXIS], row[LINE_AXIS + 1], row[LINE_AXIS + 2] = rotate_back(
-            base, edges[1, 0], edges[1, 1], edges[1, 2]
-        )
+        row[layout.AXES + e] = axes[e]
+    put(row, layout.AXES + 6, (n1, n2, n3))
+    row[layout.KIND] = kind
+    if kind == layout.TIP_PLANE:
+        put(row, layout.RIM_AXIS, rotate_back(tip, normal[0], normal[1], normal[2]))
+    elif kind != layout.PLANE:
+        put(row, layout.RIM_AXIS, rotate_back(tip, edges[0, 0], edges[0, 1], edges[0, 2]))
+        put(row, layout.LINE_AXIS, rotate_back(base, edges[1, 0], edges[1, 1], edges[1, 2]))
+
+
+@inlined
+def put(row, k, vector):
+    """Put a vector into a row, from the k-th number on."""
+    row[k], row[k + 1], row[k + 2] = vector
 
 
 @inlined
@@ -92,9 +89,8 @@ def place_boxes(work, joints, boxes, placed, speeds):
     for k in range(len(boxes)):
         pose, motion, box = work.placements[joints[k]], work.local_velocities[joints[k]], boxes[k]
         for axis in range(3):
-            n1, n2, n3 = rotate(pose, box[3 * axis], box[3 * axis + 1], box[3 * axis + 2])
-            placed[k, 3 * axis], placed[k, 3 * axis + 1], placed[k, 3 * axis + 2] = n1, n2, n3
-        placed[k, 9], placed[k, 10], placed[k, 11] = place(pose, box, 9)
+            put(placed[k], 3 * axis, rotate(pose, box[3 * axis], box[3 * axis + 1], box[3 * axis + 2]))
+        put(placed[k], 9, place(pose, box, 9))
         arm = math.sqrt(box[9] ** 2 + box[10] ** 2 + box[11] ** 2) + box[REACH]
         speeds[k] = math.sqrt(motion[0] ** 2 + motion[1] ** 2 + motion[2] ** 2) + arm * math.sqrt(
             motion[3] ** 2 + motion[4] ** 2 + motion[5] ** 2
@@ -130,8 +126,7 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
 
     Args:
         work: The workspace; its `contact_constants` are filled.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
+        q, v: The state.
         h: Time within which boxes may meet [s].
         near: Distance within which boxes face each other at any speed [m].
         touching: The same instead; below zero it follows from the time and `near` [m].
@@ -165,22 +160,12 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
                 *(normals[p], points[p], others[p], gaps, kinds[p], edges[p]),
             )
         for k in range(min(found, room)):
-            row = work.contact_constants[first + k]
             fill_contact(
-                row,
-                work.placements[joints[a]],
-                work.placements[joints[b]],
-                normals[p],
-                points[p, k],
-                others[p, k],
-                kinds[p, k],
-                edges[p],
-                0.0,
-                0.0,
+                *(work.contact_constants[first + k], work.placements[joints[a]], work.placements[joints[b]]),
+                *(normals[p], points[p, k], others[p, k], kinds[p, k], edges[p], 0.0, 0.0),
             )
         for k in range(room):
             idle[first + k] = k >= found
         for k in range(found, used[p]):
-            for e in range(blanks.shape[1]):
-                work.contact_constants[first + k, e] = blanks[first + k, e]
+            assign(work.contact_constants[first + k], blanks[first + k])
         used[p] = min(found, room)

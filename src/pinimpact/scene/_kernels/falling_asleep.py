@@ -6,6 +6,7 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import jit
+from ..._numeric.loops import flags
 from .step_impulses import label_trees
 from .tolerances import STEPS_LEFT
 
@@ -40,9 +41,7 @@ def trees_at_rest(
     """
     label, first = np.empty(len(island), dtype=np.int64), np.empty(len(active), dtype=np.int64)
     label_trees(columns, counts, contacts, active, tree, label, first)
-    rests, left = np.empty(len(island), dtype=np.bool_), np.zeros(len(island))
-    for k in range(len(rests)):
-        rests[k] = True
+    rests, left = flags(len(island), True), np.zeros(len(island))
     for c in range(len(v)):
         k = label[tree[c]]
         left[k] = max(left[k], STEPS_LEFT * metres[c] * abs(pushed[c]))

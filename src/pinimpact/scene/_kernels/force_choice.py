@@ -12,6 +12,7 @@ import math
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import external, inlined, jit
+from ..._numeric.loops import filled
 from .active_set import scalar_rows
 from .contact_forces import SLIP, rubs
 from .dynamics import evaluate
@@ -32,9 +33,7 @@ def choose_forces(work, t, out):
     evaluate(work, t, out)
     if fit(work, t, out):
         return
-    known = work.inner_forces
-    for a in range(len(known)):
-        known[a] = 0.0
+    filled(work.inner_forces, 0.0)
     evaluate(work, t, out)
 
 

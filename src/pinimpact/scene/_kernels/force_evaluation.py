@@ -22,8 +22,7 @@ def evaluate_closed(work, t, q, v, directions, unique, known):
     """Leave the motion and the forces of what is closed in the modes of `work.modes`; see `forces_at`."""
     close(work, directions)
     work.forces_unique = unique
-    for a in range(len(known)):
-        work.inner_forces[a] = known[a]
+    assign(work.inner_forces[: len(known)], known)
     set_state(work, q, v)
     out = np.empty(len(v) + 4)
     evaluate(work, t, out)
@@ -44,9 +43,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
 
     Args:
         work: The workspace, with the modes, constants of the contacts, signs of dry friction and control.
-        t: Time [s].
-        q: (nq,) configuration.
-        v: (nv,) velocity.
+        t, q, v: Time [s] and state.
         directions: (n, 2) of slip, for contacts too slow to show them.
         unique: Whether the forces have been unique so far.
         known: (m,) forces that the motion was begun with, of which the nearest act; empty for those of least
@@ -56,8 +53,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
         normals: (n, 3) takes the surfaces' normals there, in world axes.
         joints: (nv,) takes the generalized forces of joint stops and of dry friction, zero before.
 
-    Returns:
-        Whether the motion determines the forces.
+    Returns whether the motion determines the forces.
     """
     evaluate_closed(work, t, q, v, directions, unique, known)
     if work.callback_failed:
@@ -84,12 +80,9 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
 @declared(SceneWorkspace, INTEGERS, FLOAT_STACK, FLOAT_ROWS)
 @jit
 def places_of_contacts(work, index, axes, points):
-    """Fill where contacts are at the kinematics last computed, in world axes.
+    """Fill where contacts (k,) are at the kinematics last computed, in world axes.
 
-    Args:
-        index: (k,) which contacts.
-        axes: (k, 3, 3) takes t₁, t₂ and n of each, as rows.
-        points: (k, 3) takes the contact points [m].
+    Axes (k, 3, 3) takes t₁, t₂ and n of each, as rows, points (k, 3) the contact points [m].
     """
     for m in range(len(index)):
         k, tip = work.contact_constants[index[m]], work.placements[work.contact_joints[index[m], 0]]

@@ -20,9 +20,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     """Return whether contacts that slip drive the surface in until their forces have no bound.
 
     Args:
-        t: Time [s].
-        q: (nq,) configuration.
-        v: (nv,) velocity.
+        t, q, v: Time [s] and state.
         without_forces: Whether no forces were found for the modes, or they have just left their bounds; where
             the determinant of the equations has changed its sign there are none.
         singular: The part to which the effects of forces cancel at a singularity.

@@ -7,6 +7,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
+from ..._numeric.products import dot
 from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
@@ -57,24 +58,9 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
 )
 @jit
 def slopes_along(
-    work,
-    derive,
-    total,
-    smooth,
-    parent,
-    friction,
-    coefficients,
-    q0,
-    v0,
-    start,
-    h,
-    times,
-    ends,
-    unique,
-    known,
-    free,
-    inside,
-):
+    work, derive, total, smooth, parent, friction, coefficients, q0, v0, start, h, times, ends, unique, known,
+    free, inside,
+):  # fmt: skip
     """Return how v̇ and the velocities that vanish change with the state, at some times within a step. (D23)
 
     Args:
@@ -228,9 +214,7 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
             for j in range(nv):
                 forces[i, j] += push[i] * turn[j]
         for i in range(nv):
-            total = 0.0
-            for j in range(nv):
-                total += inverse[i, j] * push[j]
+            total = dot(inverse[i], push)
             for j in range(nv):
                 by_state[i, nv + j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
     for j in work.scalar_velocity:
@@ -245,10 +229,7 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
 def _respond(inverse, push, response, row):
     """Fill a column of the response, v̇ by a force along `push` (nv,)."""
     for i in range(len(push)):
-        total = 0.0
-        for j in range(len(push)):
-            total += inverse[i, j] * push[j]
-        response[i, row] = total
+        response[i, row] = dot(inverse[i], push)
 
 
 @inlined

@@ -41,11 +41,7 @@ def overlap_at(work, q, v, rows):
 def least_displacement(system, rows, displacement, pushes):
     """Fill the least displacement (nv,) that opens gaps and holds what is held, and the pushes of the rows.
 
-    Args:
-        system: The `StepSystem`, with M alone.
-        rows: The `StepRows`, filled.
-        displacement: (nv,) to be filled.
-        pushes: (nc + nl + 3 nh,) to be filled, along `StepRows.normals`, then `StepRows.held_rows`.
+    The system has M alone. Pushes (nc + nl + 3 nh,) are along `StepRows.normals`, then `StepRows.held_rows`.
     """
     nc, nh, n = len(rows.contacts), len(rows.held), len(pushes)
     every, near = nc + nh, nc + len(rows.limits)

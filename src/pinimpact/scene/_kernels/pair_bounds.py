@@ -39,8 +39,6 @@ def separations(
     Args:
         calls: Addresses of what computes placements at q, and of its arguments, see `python_calls`.
         q: (nq,) where it reads them.
-        placements: See above, as of joints.
-        joints: See above.
         vertices: (m, 3) of the cores, in the axes of their joints.
         ranges: (p, 3) the first vertex of the first shape, of the second one, and the one after its last.
         radii: (p,) around both cores [m].
@@ -54,8 +52,7 @@ def separations(
         rows: (k,) where the distances of these go,
         out: (m, p) in this.
 
-    Returns:
-        Whether the calls went well.
+    Returns whether the calls went well.
     """
     v = np.empty(len(v0))
     for f in range(len(fractions)):
@@ -77,11 +74,7 @@ def separations(
 def turn_to_gaps(calls, placements, joints, vertices, ranges, radii, directions, wanted, out):
     """Turn directions towards the gaps of pairs at the q that is set; fill how far they are apart (p,) [m].
 
-    Args:
-        Others: As of `separations`.
-
-    Returns:
-        Whether the call went well.
+    Arguments and result as of `separations`.
     """
     if not call(calls[0], calls[1]):
         return False
@@ -158,7 +151,6 @@ def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
     |ω_inner||J_outer|, and levers |J_k| lengthened by the way that the points can go.
 
     Args:
-        placements, joints: See above.
         J: (6, nv) joint Jacobian in world axes at the world's origin.
         centers: (2 p, 3) of the shapes, in the axes of their joints.
         reaches: (p, 2) largest distance of a point from them [m].
@@ -213,10 +205,8 @@ def stay_apart(
         least: (p,) by what the pairs have to stay apart [m].
         bounds: (p,) takes what `bends` finds.
         apart: (p,) takes whether they stay apart.
-        Others: See above.
 
-    Returns:
-        Whether the calls went well.
+    Returns whether the calls went well.
     """
     p = len(joints)
     found, wanted = np.empty((PIECES + 1, p)), np.ones(p, dtype=np.bool_)

@@ -17,22 +17,13 @@ REACH, ARM, THICKNESS, SOLID_NUMBERS = 3, 4, 5, 6
 a ball, which turns in itself, and half its least thickness."""
 
 
-@declared(
-    *(SceneWorkspace, FLOATS, FLOATS, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLAGS),
-    result=bool,
-)
+@declared(SceneWorkspace, FLOATS, FLOATS, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLAGS, result=bool)
 @jit
 def may_pass(work, q, v, h, joints, solids, pairs, rests):
     """Return whether two solids that are near move by more than their half thicknesses in half a step.
 
-    Args:
-        q: (nq,) configuration at the midpoint.
-        v: (nv,) velocity.
-        h: Length of the step [s].
-        joints: (k,) that carry the solids.
-        solids: (k, `SOLID_NUMBERS`) see `REACH`.
-        pairs: (p, 2) of solids.
-        rests: (nj,) joints that are at rest, the world among them.
+    q (nq,) and v (nv,) are those at the midpoint of a step of length h [s]. Joints (k,) carry the solids
+    (k, `SOLID_NUMBERS`), see `REACH`, pairs (p, 2) are of these; joints that `rests` (nj,) are at rest.
     """
     set_state(work, q, v)
     compute_kinematics(work)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ..._compile.jit import inlined
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, filled
 from .dense_output import BASIS, rate_bounds
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
@@ -87,8 +87,7 @@ def evaluate_stage(work, i, t, h, change):
         return False
     advance(work.joint_charts, work.q0, xi, work.q)
     chart_rate(work.joint_charts, xi, v, change[:n])
-    for m in range(2 * n, width):
-        change[m] = 0.0
+    filled(change[2 * n : width], 0.0)
     evaluate(work, t + ABSCISSAE[i] * h, change[n:])
     if work.callback_failed:
         return False

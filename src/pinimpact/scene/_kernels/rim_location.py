@@ -56,13 +56,9 @@ root = search_for_touch(gap_at)
 @declared(SceneWorkspace, int, float, float)
 @external
 def first_touch_of_rim(work, i, end, gap):
-    """Return the first time until `end` at which a rim touches; infinite where it does not.
+    """Return the first time until `end` at which the rim of contact i touches; infinite where it does not.
 
-    Args:
-        work: The workspace, with bounds of the motion over the step.
-        i: The contact.
-        end: The time up to which to look.
-        gap: Its gap at the start of the step; one below zero is where all gaps of the step are counted from.
+    All gaps of the step are counted from its gap at the start, if that is below zero.
     """
     floor, radius, bounds = work.gap_floor, work.contact_constants[i, RIM], work.gap_bounds[i]
     base, turning = min(gap, 0.0), work.turning_bounds[i]

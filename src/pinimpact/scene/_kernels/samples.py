@@ -34,10 +34,7 @@ def record_sample(work, slot, fraction):
 def clear_of_zero(times, values, count):
     """Return whether a function stays above zero between its first samples, as far as they tell.
 
-    Args:
-        times: (m,) from 0 to 1, rising.
-        values: (m,) of the function.
-        count: How many count.
+    They are the first `count` of the values at rising times (m,), from 0 to 1.
     """
     bend = 0.0
     for i in range(1, count - 1):

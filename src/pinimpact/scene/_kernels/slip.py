@@ -94,12 +94,8 @@ def restore_directions(work):
 @external
 def stiffness_of_slip(work):
     """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""
-    mode, mu, velocity, reference = (
-        work.active_mode,
-        work.active_friction,
-        work.contact_velocity,
-        work.slip_reference,
-    )
+    mode, mu = work.active_mode, work.active_friction
+    velocity, reference = work.contact_velocity, work.slip_reference
     jacobian, minverse, force = work.contact_jacobian, work.minverse, work.contact_force
     n = minverse.shape[0]
     fastest = 0.0

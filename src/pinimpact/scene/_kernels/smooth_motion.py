@@ -8,33 +8,14 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, filled
 from ..._numeric.tolerances import EPS
-from . import step_dop853
+from . import dynamics, slip, step_dop853
 from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP
-from .dynamics import (
-    all_gaps,
-    contact_gaps,
-    evaluate,
-    evaluate_without_contacts,
-    follow_surface,
-    limit_gap,
-    motion_of_contact,
-    motion_of_contacts,
-    set_state,
-)
 from .events.registry import find_first_event
 from .force_choice import choose_forces
 from .samples import along, record_sample
-from .slip import (
-    restore_directions,
-    set_certain_speed,
-    set_direction_speed,
-    set_directions_within,
-    stiffness_of_slip,
-    turn_references,
-)
 from .stiff_drives import rate_of_drives
 from .tolerances import ITERATED
 from .workspace import SceneWorkspace
@@ -57,32 +38,30 @@ def begin(work, t, q, v):
     n = len(v)
     assign(work.q0, q)
     assign(work.v0, v)
-    set_certain_speed(work)
-    set_direction_speed(work)
-    set_state(work, q, v)
+    slip.set_certain_speed(work)
+    slip.set_direction_speed(work)
+    dynamics.set_state(work, q, v)
     for i in range(len(rates)):
-        for m in range(2 * n, rates.shape[1]):
-            rates[i, m] = 0.0
-    for m in range(n):
-        rates[0, m] = v[m]
-    evaluate(work, t, rates[0, n:])
+        filled(rates[i, 2 * n :], 0.0)
+    assign(rates[0, :n], v)
+    dynamics.evaluate(work, t, rates[0, n:])
     choose_forces(work, t, rates[0, n:])
     for m in range(n):
         work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
-    turn_references(work, work.contact_velocity)
+    slip.turn_references(work, work.contact_velocity)
     record_sample(work, 0, 0.0)
-    work.slip_stiffness = stiffness_of_slip(work)
+    work.slip_stiffness = slip.stiffness_of_slip(work)
     work.slip_ends = _slip_ends(work, rates[0])
     work.drive_rate = rate_of_drives(work)
     work.previous_length = 0.0
     guess = math.inf
     if len(gaps) == 0:
         return guess
-    contact_gaps(work, gaps, work.start_spheres)
+    dynamics.contact_gaps(work, gaps, work.start_spheres)
     jacobian, three = np.empty((3, n)), np.empty((3, 3))
     for i in range(len(gaps)):
         if modes[i] == FREE and abs(gaps[i, 0]) <= work.touching_gap and gaps[i, 1] > work.stick_speed:
-            motion_of_contact(work, i, jacobian, three[0], three[1], three[2])
+            dynamics.motion_of_contact(work, i, jacobian, three[0], three[1], three[2])
             fall = -three[1, 2]
             for j in range(n):  # what is closed pushes
                 fall -= jacobian[2, j] * (rates[0, n + j] - work.acceleration[j])
@@ -124,7 +103,7 @@ def modes_continue(work):
         if modes[i] == FREE and gaps[i, 0] <= near and abs(gaps[i, 1]) <= resting:
             return False
     for k in range(work.limits):
-        gap, rate = limit_gap(work, k, work.q0, v0)
+        gap, rate = dynamics.limit_gap(work, k, work.q0, v0)
         if modes[contacts + k] == 0 and gap <= near and abs(rate) <= resting:
             return False
     mode, mu, velocity = work.active_mode, work.active_friction, work.contact_velocity
@@ -159,25 +138,25 @@ def finish(work, t, h, error, explicit):
     velocity = work.end_velocity
     for k in range(len(velocity)):
         assign(velocity[k], work.contact_velocity[k])
-    stiffness = stiffness_of_slip(work)
+    stiffness = slip.stiffness_of_slip(work)
     for i in work.active_index:
-        follow_surface(work, i)
+        dynamics.follow_surface(work, i)
     if len(work.end_gaps):
-        contact_gaps(work, work.end_gaps, work.end_spheres)
+        dynamics.contact_gaps(work, work.end_gaps, work.end_spheres)
     if explicit:
         step_dop853.complete(work, t, h)
     find_first_event(work)
-    set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
+    slip.set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
     work.growth = 1.0
     if work.event_time > t + h:
         step_dop853.begin_next(work)
-        set_certain_speed(work)
+        slip.set_certain_speed(work)
         for i in range(len(work.end_gaps)):
             assign(work.start_gaps[i], work.end_gaps[i])
         for k in range(work.spheres):
             assign(work.start_spheres[k], work.end_spheres[k])
         work.slip_stiffness = stiffness
-        turn_references(work, velocity)
+        slip.turn_references(work, velocity)
         work.sample_margins[0] = work.end_margin
         work.slip_ends = math.inf
         for k in range(len(velocity)):
@@ -188,7 +167,7 @@ def finish(work, t, h, error, explicit):
                 work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
     elif work.event_time == -math.inf:  # the step will be tried again, shorter
-        restore_directions(work)
+        slip.restore_directions(work)
 
 
 @inlined
@@ -211,28 +190,19 @@ def set_growth(work, h, error):
 @jit
 def gaps_at(work, q, v, found):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
-    all_gaps(work, q, v, found)
+    dynamics.all_gaps(work, q, v, found)
 
 
 @declared(
-    SceneWorkspace,
-    float,
-    FLOATS,
-    FLOATS,
-    INTEGERS,
-    FLOATS,
-    FLOAT_STACK,
-    FLOAT_ROWS,
-    FLOAT_ROWS,
-    FLOAT_ROWS,
-    FLOATS,
+    *(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS),
+    *(FLOATS, FLOAT_STACK, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
 )
 @jit
 def free_motion_at(work, t, q, v, index, joints, jacobian, velocity, acceleration, surface, gap):
     """Fill v̇ and the motion of some contacts without contact forces, see `dynamics.motion_of_contact`."""
-    set_state(work, q, v)
-    evaluate_without_contacts(work, t, np.empty(2))
+    dynamics.set_state(work, q, v)
+    dynamics.evaluate_without_contacts(work, t, np.empty(2))
     assign(joints, work.acceleration)
     for i in index:
-        follow_surface(work, i)
-    motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, gap)
+        dynamics.follow_surface(work, i)
+    dynamics.motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, gap)

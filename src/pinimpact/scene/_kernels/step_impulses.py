@@ -11,7 +11,7 @@ from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Integers, 
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, solve_velocities
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
-from ..._numeric.loops import assign, flags
+from ..._numeric.loops import assign, filled, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
@@ -104,8 +104,7 @@ def solve_island(problem, part, accuracy, begin, change, found):
     for attempt in range(ATTEMPTS):
         if attempt > 0:  # with less at a time, from nothing
             part *= LESS
-            for c in range(m):
-                begin[c] = 0.0
+            filled(begin, 0.0)
         left = solve_velocities(problem, part, accuracy, begin, moved, other)
         if left < off:
             off = left
@@ -253,8 +252,7 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse)
         trees = max(trees, tree[c] + 1)
     label, first = np.empty(trees, dtype=np.int64), np.empty(len(active), dtype=np.int64)
     label_trees(problem.columns, problem.counts, nc, active, tree, label, first)
-    for a in range(len(impulse)):
-        impulse[a] = 0.0
+    filled(impulse, 0.0)
     worst, place = 0.0, np.empty(nv, dtype=np.int64)
     for number in range(trees):
         island = members(nc, number, label, first, tree, place)

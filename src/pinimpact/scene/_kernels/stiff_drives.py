@@ -31,12 +31,8 @@ SQUARE = MATRIX @ MATRIX
 @inlined
 def following(work):
     """Return the velocities on which a linear law acts: drives within their efforts, and damping."""
-    side, stiffness, drive_damping, damping = (
-        work.drive_side,
-        work.drive_stiffness,
-        work.drive_damping,
-        work.damping,
-    )
+    side, stiffness = work.drive_side, work.drive_stiffness
+    drive_damping, damping = work.drive_damping, work.damping
     held = work.modes[work.contacts + work.limits :]
     marks = np.zeros(len(held), dtype=np.int64)
     for j in range(len(held)):

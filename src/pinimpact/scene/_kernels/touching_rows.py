@@ -147,15 +147,10 @@ def determines_forces(delassus):
 
 @inlined
 def resulting_accelerations(delassus, free, force, contacts, unique, pace):
-    """Add to the accelerations of the rows what the forces cause.
+    """Add to the accelerations `free` (m,) of the rows what the forces (m,) cause.
 
-    Args:
-        delassus: (m, m) of the rows.
-        free: (m,) accelerations without forces, updated.
-        force: (m,) forces.
-        contacts: How many contacts there are.
-        unique: Whether no other forces have the same effects.
-        pace: (m,) takes the accelerations that count as none. (11.10)
+    `unique` is whether no other forces have the same effects. Pace (m,) takes the accelerations that count as
+    none. (11.10)
     """
     size, closed = len(free), 3 * contacts
     width, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)

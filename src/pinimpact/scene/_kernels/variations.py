@@ -8,7 +8,7 @@ from numba import types
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.least_norm import least_norms
-from ..._numeric.loops import assign, ones
+from ..._numeric.loops import assign, filled, ones
 from ..._numeric.lu import factorize, substitute
 from ..._numeric.tolerances import RANK, TINY
 
@@ -121,8 +121,7 @@ def changes_at_end(
         larger(by_q, end[r])
         larger(sizes, end[nv + r])
         for k in range(stages):
-            for c in range(n):
-                part[c] = 0.0
+            filled(part, 0.0)
             for i in range(stages):
                 add(part, modes[k, i], rates[i * nv + r])
             larger(low if k < half else high, part)
@@ -204,8 +203,7 @@ def _turn(h, weights, twice, turned, turning, start):
     moved, straight = np.zeros((stages, size, stages, size)), np.empty((stages, size, start.shape[2]))
     for j in range(stages):
         for b in range(size):
-            for k in range(len(column)):
-                column[k] = 0.0
+            filled(column, 0.0)
             column[j * size + b] = 1.0
             substitute(matrix, order, column)
             for i in range(stages):

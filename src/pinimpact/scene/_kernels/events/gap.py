@@ -50,14 +50,8 @@ def bound(work, i, constants, reach, out):
     """
     set_signs(work, i)
     size, change, speed = contact_motion.bounds(
-        work.joint_jacobian,
-        work.velocity_signs,
-        work.velocity_joint,
-        work.placements[work.contact_joints[i, 0]],
-        constants,
-        work.rate_bounds,
-        work.step_length,
-        reach,
+        *(work.joint_jacobian, work.velocity_signs, work.velocity_joint),
+        *(work.placements[work.contact_joints[i, 0]], constants, work.rate_bounds, work.step_length, reach),
     )
     out[0], out[1], out[2] = SAFETY * size, SAFETY * change, SAFETY * speed
     out[3] = surfaces.least_radius(constants)
@@ -72,12 +66,8 @@ def bound_contact(work, i):
     bound(work, i, constants, 0.0, work.gap_bounds[i])
     if constants[RIM] > 0.0:
         work.turning_bounds[i] = SAFETY * contact_motion.turning_bound(
-            work.joint_jacobian,
-            work.velocity_signs,
-            work.placements[work.contact_joints[i, 0]],
-            constants,
-            work.rate_bounds,
-            work.step_length,
+            *(work.joint_jacobian, work.velocity_signs, work.placements[work.contact_joints[i, 0]]),
+            *(constants, work.rate_bounds, work.step_length),
         )
 
 
@@ -168,14 +158,8 @@ def first(work, end):
                 found = first_touch_of_rim(work, i, end, start_gaps[i, 0])
             else:
                 found = first_closing(
-                    work,
-                    i,
-                    end,
-                    start_gaps[i, 0],
-                    start_gaps[i, 1],
-                    end_gaps[i, 0],
-                    end_gaps[i, 1],
-                    work.gap_bounds[i],
+                    *(work, i, end, start_gaps[i, 0], start_gaps[i, 1]),
+                    *(end_gaps[i, 0], end_gaps[i, 1], work.gap_bounds[i]),
                 )
             if found <= end:
                 time, end, which = found, found, i
