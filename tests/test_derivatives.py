@@ -436,7 +436,6 @@ def test_boundaries_have_sentences():
     ("problem", "options", "words"),
     [
         (ImpactProblem(W0, [1, 0, -1], 0.3, 0.5), {"method": "euler"}, "the method 'euler'"),
-        (ImpactProblem(np.eye(6), [[1, 0, -1], [0, 0, -1]], 0.3, 0.5), {}, "n contacts"),
     ],
 )
 def test_what_has_no_derivatives_is_refused(problem, options, words):

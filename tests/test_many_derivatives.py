@@ -9,7 +9,16 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact import Boundary, Contact, Plane, Sphere, impact, impact_derivatives
+from pinimpact import (
+    Boundary,
+    Contact,
+    ImpactProblem,
+    Plane,
+    Sphere,
+    impact,
+    impact_derivatives,
+    solve_impact,
+)
 
 from .robot_cases import load, random_state, two_arms
 from .scene_models import box_on
@@ -309,3 +318,84 @@ def test_bad_input():
     varying = replace(CONTACTS["floor and slope"][0], restitution=lambda speed: 0.5)
     with pytest.raises(pinimpact.InputError, match="slope"):
         impact_derivatives(model, data, q, v, [varying])
+
+
+def corners(seed, count, rows):
+    """Return a problem at contacts of which only so many rows of J are independent, and J."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(3 * count, rows))
+    velocity = (jacobian @ rng.normal(size=rows)).reshape(count, 3)
+    friction, restitution = rng.uniform(0.1, 0.9, count), rng.uniform(0.2, 0.9, count)
+    return ImpactProblem(jacobian @ jacobian.T, velocity, friction, restitution, "energetic"), jacobian
+
+
+def test_contacts_that_do_not_feel_each_other_have_the_derivatives_of_one_contact():
+    rng, delassus, singles = np.random.default_rng(4), np.zeros((6, 6)), []
+    velocity, friction, restitution = [[0.4, 0.2, -1.0], [-0.3, 0.5, -0.8]], [0.3, 0.6], [0.5, 0.7]
+    for k in range(2):
+        root = rng.normal(size=(3, 3))
+        delassus[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = root @ root.T + 0.3 * np.eye(3)
+        block = delassus[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+        one = ImpactProblem(block, velocity[k], friction[k], restitution[k], "energetic")
+        singles.append(solve_impact(one, derivatives=True).derivatives)
+    both = ImpactProblem(delassus, velocity, friction, restitution, "energetic")
+    found = solve_impact(both, derivatives=True).derivatives
+    assert found.boundary == Boundary.NONE
+    for k, one in enumerate(singles):
+        rows = slice(3 * k, 3 * k + 3)
+        for letter in "vP":
+            of, of_one = (
+                {
+                    name: getattr(which, f"d{letter}_d{name}")
+                    for name in ("v", "delassus", "friction", "restitution")
+                }
+                for which in (found, one)
+            )
+            np.testing.assert_allclose(of["v"][k, :, k], of_one["v"], atol=1e-9)
+            np.testing.assert_allclose(of["delassus"][k][:, rows, rows], of_one["delassus"], atol=1e-9)
+            for name in ("friction", "restitution"):
+                slope = of[name]
+                np.testing.assert_allclose(slope[k, :, k], of_one[name], atol=1e-9)
+                np.testing.assert_allclose(slope[k, :, 1 - k], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "count", "rows"), [(1, 2, 6), (5, 2, 5), (2, 3, 6), (8, 3, 9)])
+def test_derivatives_in_contact_space_obey_the_scales_and_differences(seed, count, rows):
+    """P is of degree 1 in v° and of degree -1 in W; W of redundant contacts changes with J."""
+    problem, jacobian = corners(seed, count, rows)
+    solution = solve_impact(problem, derivatives=True)
+    d, P, v = solution.derivatives, solution.impulse, np.asarray(problem.velocity)
+    assert bool(d.boundary & Boundary.RANK) == (rows < 3 * count)
+    np.testing.assert_allclose(np.einsum("aibj,bj->ai", d.dP_dv, v), P, atol=1e-8)
+    np.testing.assert_allclose(np.einsum("aijk,jk->ai", d.dP_ddelassus, problem.delassus), -P, atol=1e-8)
+    rng = np.random.default_rng(seed)
+    turn, change = rng.normal(size=jacobian.shape), rng.normal(size=v.shape)
+    by_friction, by_restitution = rng.normal(size=(2, count))
+    if rows < 3 * count:
+        change = (jacobian @ rng.normal(size=rows)).reshape(v.shape)
+
+    def at(s):
+        moved = jacobian + s * turn
+        changed = ImpactProblem(
+            *(moved @ moved.T, v + s * change, problem.friction + s * by_friction),
+            *(problem.restitution + s * by_restitution, "energetic"),
+        )
+        return solve_impact(changed).velocity
+
+    h = 1e-4
+    expected = (8.0 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12.0 * h)
+    delassus = turn @ jacobian.T + jacobian @ turn.T
+    slope = np.einsum("aibj,bj->ai", d.dv_dv, change) + np.einsum("aijk,jk->ai", d.dv_ddelassus, delassus)
+    slope += d.dv_dfriction @ by_friction + d.dv_drestitution @ by_restitution
+    np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
+def test_derivatives_of_what_is_integrated_by_steps_are_not_known():
+    corner = np.array([[x, y, -0.05] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
+    jacobian = np.concatenate([np.hstack([np.eye(3), -pin.skew(point)]) for point in corner])
+    inverse = np.diag([1.0] * 3 + [600.0] * 3)
+    velocity = (jacobian @ [0.5, 0.1, -1.0, 0.3, 0.2, 0.1]).reshape(4, 3)
+    problem = ImpactProblem(jacobian @ inverse @ jacobian.T, velocity, 0.5, 0.5, "energetic")
+    d = solve_impact(problem, derivatives=True).derivatives
+    assert d.boundary == Boundary.EVENTS_COINCIDE
+    assert np.isnan(d.dP_dv).all()

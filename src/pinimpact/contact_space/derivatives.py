@@ -37,7 +37,8 @@ class Boundary(Sentences):
 class Derivatives:
     """How v⁺ and P change with v°, W, μ and e, in contact axes; of N impacts with a first axis (N,).
 
-    For a symmetric δW the change of v⁺ₖ is Σᵢⱼ ``dv_ddelassus[k, i, j]`` δWᵢⱼ.
+    For a symmetric δW the change of v⁺ₖ is Σᵢⱼ ``dv_ddelassus[k, i, j]`` δWᵢⱼ. Of an impact at n contacts
+    each (3,) of v and P is (n, 3), W is (3n, 3n), and μ and e are (n,): ``dv_ddelassus`` is (n, 3, 3n, 3n).
 
     Attributes:
         dv_dv: (3, 3) ∂v⁺/∂v°.
@@ -106,9 +107,9 @@ def _answered(inputs: Inputs) -> tuple[Array, Array] | None:
     return (values, slopes) if 0 <= status <= Status.LOCKED else None
 
 
-def check_derivatives(wanted: bool, what: str) -> None:
-    """Refuse derivatives of what has none yet."""
+def check_derivatives(wanted: bool, method: str) -> None:
+    """Refuse derivatives by another method than the exact one."""
     if wanted:
         raise InputError(
-            f'derivatives: not available for {what}; they are those of one contact by "exact"', value=wanted
+            f'derivatives: not available for the method {method!r}; method="exact" has them', value=wanted
         )

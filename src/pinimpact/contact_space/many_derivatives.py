@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from .._numeric.tolerances import ROUNDING, ROUNDOFF
 from ..arrays import Bools
 from ..errors import PinimpactError
 from ._kernels.tolerances import MISSED
-from .derivatives import Boundary
+from .derivatives import Boundary, Derivatives
 from .inputs import Array
 from .many_inputs import ManyInputs
 from .many_solution import ManySolution
@@ -48,6 +50,14 @@ class Change(NamedTuple):
     stiffness: Array
 
 
+def coefficient_change(n: int, **of: int) -> Change:
+    """Return a change of one coefficient of a contact: its name and the number of the contact."""
+    numbers = {name: np.zeros(n) for name in ("friction", "restitution", "stiffness")}
+    for name, k in of.items():
+        numbers[name][k] = 1.0
+    return Change(np.zeros((n, 3)), np.zeros((3 * n, 3 * n)), **numbers)
+
+
 class Slopes(NamedTuple):
     """How the impulses of an impact change along directions.
 
@@ -79,12 +89,48 @@ class _Slope(NamedTuple):
     jumps: bool
 
 
+def derivatives_at_many(
+    inputs: ManyInputs, policy: str, options: Mapping[str, Any], solution: ManySolution, side: int | None
+) -> Derivatives:
+    """Return the derivatives of an impact at n contacts by v°, the entries of W, μ and e."""
+    n = len(inputs.velocity)
+    m = 3 * n
+    nothing, first, second = coefficient_change(n), *np.triu_indices(m)
+    changes = [nothing._replace(velocity=row.reshape(n, 3)) for row in np.eye(m)]
+    for i, j in zip(first, second, strict=True):
+        entry = np.zeros((m, m))
+        entry[i, j] = entry[j, i] = 1.0 if i == j else 0.5
+        changes.append(nothing._replace(delassus=entry))
+    changes += [coefficient_change(n, friction=k) for k in range(n)]
+    changes += [coefficient_change(n, restitution=k) for k in range(n)]
+    found = slopes_along(inputs, policy, solution, changes, side, options)
+    impulse, end = solution.impulse.ravel(), m + len(first)
+    moved = inputs.delassus @ found.impulse
+    moved[:, :m] += np.eye(m)
+    moved[:, m:end] += np.array([change.delassus @ impulse for change in changes[m:end]]).T
+    impulses = np.where(found.shared, found.impulse, np.nan)
+    return Derivatives(*_parts(moved, n), *_parts(impulses, n), found.boundary)
+
+
+def _parts(columns: Array, n: int) -> tuple[Array, Array, Array, Array]:
+    """Return slopes (3n, …) of n contacts by v°, the entries of W on and above its diagonal, μ and e."""
+    m = 3 * n
+    first, second = np.triu_indices(m)
+    by_velocity, by_entry, by_friction, by_restitution = np.split(
+        columns.reshape(n, 3, -1), np.cumsum([m, len(first), n]), axis=2
+    )
+    by_delassus = np.empty((n, 3, m, m))
+    by_delassus[..., first, second] = by_delassus[..., second, first] = by_entry
+    return by_velocity.reshape(n, 3, n, 3), by_delassus, by_friction, by_restitution
+
+
 def slopes_along(
     inputs: ManyInputs,
     policy: str,
     solution: ManySolution,
     changes: Sequence[Change],
     side: int | None = None,
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Slopes:
     """Differentiate the impulses of an impact along directions, by differences of sixth order.
 
@@ -97,12 +143,13 @@ def slopes_along(
         solution: The answer to it.
         changes: The m directions.
         side: 1 or −1: where there is no derivative that to this side is taken, if it exists.
+        options: Of the policy.
     """
     impulse = solution.impulse.ravel()
     if _by_steps(solution):
         nothing = np.full((len(impulse), len(changes)), np.nan)
         return Slopes(nothing, np.ones(len(changes), dtype=bool), Boundary.EVENTS_COINCIDE)
-    along = _Differences(inputs, policy, impulse)
+    along = _Differences(inputs, partial(find_policy(policy).run, **options), impulse)
     found = [along.slope(change) for change in changes]
     columns = np.array([one.impulse for one in found]).reshape(len(changes), impulse.size).T.copy()
     known = np.array([one.missed <= AGREED for one in found], dtype=bool)
@@ -145,8 +192,8 @@ def _reason(inputs: ManyInputs, change: Change, slope: _Slope) -> Boundary:
 class _Differences:
     """Differences of the impulses P of an impact along directions of its data."""
 
-    def __init__(self, inputs: ManyInputs, policy: str, impulse: Array) -> None:
-        self._inputs, self._run, self._impulse = inputs, find_policy(policy).run, impulse
+    def __init__(self, inputs: ManyInputs, run: Callable[..., ManySolution], impulse: Array) -> None:
+        self._inputs, self._run, self._impulse = inputs, run, impulse
         self._unknown = np.full_like(impulse, np.nan)
         self._moves = np.flatnonzero(inputs.delassus.any(axis=1))
         values, vectors = np.linalg.eigh(inputs.delassus[np.ix_(self._moves, self._moves)])

@@ -16,6 +16,7 @@ from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
 from ._kernels.tolerances import SLOW
+from .derivatives import Derivatives
 from .inputs import NO_FACTOR, Array
 from .solution import CAUSES, Path, Segment, Solution, Work
 
@@ -105,6 +106,7 @@ class ManySolution:
         story: Data from which `work`, `segments` and `flags` are computed.
         notes: Sentences about limitations of the result.
         path: The recorded `ManyPath`, or None.
+        derivatives: The `Derivatives`, or None where ``derivatives=True`` was not asked for.
     """
 
     velocity: Array
@@ -116,6 +118,7 @@ class ManySolution:
     story: ManyStory
     notes: tuple[str, ...] = ()
     path: ManyPath | None = None
+    derivatives: Derivatives | None = None
 
     @cached_property
     def work(self) -> Work:

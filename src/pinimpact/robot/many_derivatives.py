@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array, Bools
 from ..checks import finite_array
 from ..contact_space.derivatives import Boundary
-from ..contact_space.many_derivatives import Change, Slopes, slopes_along
+from ..contact_space.many_derivatives import Change, Slopes, coefficient_change, slopes_along
 from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
 from ..geometry._kernels.constants import TIP_PLANE
@@ -297,11 +297,3 @@ def state_changes(velocity: Array, delassus: Array, bends: Array) -> list[Change
         Change(column.reshape(-1, 3), matrix, zero, -bends * column[2::3], zero)
         for column, matrix in zip(velocity.T, delassus, strict=True)
     ]
-
-
-def coefficient_change(n: int, **of: int) -> Change:
-    """Return a change of one coefficient of a contact: its name and the number of the contact."""
-    numbers = {name: np.zeros(n) for name in ("friction", "restitution", "stiffness")}
-    for name, k in of.items():
-        numbers[name][k] = 1.0
-    return Change(np.zeros((n, 3)), np.zeros((3 * n, 3 * n)), **numbers)

@@ -13,14 +13,14 @@ import pinocchio as pin
 from ..arrays import Array, Bools, Integers
 from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
-from ..contact_space.many_derivatives import Change, slopes_along
+from ..contact_space.many_derivatives import Change, coefficient_change, slopes_along
 from ..contact_space.many_inputs import many_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
 from ..robot.corner_motion import Corner, closest_corners
 from ..robot.derivatives import derivatives_at_point, slope_of_restitution
-from ..robot.many_derivatives import ManySlopes, coefficient_change
+from ..robot.many_derivatives import ManySlopes
 from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
 from ..robot.placed_robot import PlacedRobot
@@ -282,7 +282,7 @@ class GroupJump:
             if places and self._matters(parameter, places[0]):
                 changes.append(coefficient_change(len(self._sources), **{parameter.kind: places[0]}))
                 columns.append(column)
-        found = slopes_along(inputs, self._group.policy, solution, changes)
+        found = slopes_along(inputs, self._group.policy, solution, changes, options=self._group.options)
         after = np.full((nv, x.shape[1]), np.nan)
         after[:, known] = x[nv:, known] + self._slopes.change(impulse) @ x[:nv, known]
         after[:, known] += response @ found.impulse[:, : len(weights)] @ weights
