@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..arrays import Array
 from ..checks import finite_array, real_number
 from ..errors import SimulationError
-from .crossing import crossing
 from .dense_step import DenseStep
 from .events import Event
 from .hybrid_state import HybridState
@@ -174,3 +174,27 @@ def _failure(event: Event, what: str, t: float, error: Exception) -> SimulationE
     return SimulationError(
         f"events: {type(error).__name__} in the {what} of {event.label!r} at t = {t:.6g} s: {error}"
     )
+
+
+def crossing(value: Callable[[float], float], a: float, b: float, h: float) -> float:
+    """Return where a function that is above zero at a, and not at b, ceases to be, to rounding, not before.
+
+    By Ridders' method, to the rounding of the step's length h. The time is a where the function is not above
+    zero there.
+    """
+    fa, fb = value(a), value(b)
+    if not fa > 0.0:
+        return a
+    while True:
+        middle = 0.5 * (a + b)
+        if b - a <= sys.float_info.epsilon * (abs(b) + h) or not a < middle < b or fb == 0.0:
+            return b
+        fm = value(middle)
+        guess = middle + (middle - a) * fm / math.sqrt(fm * fm - fa * fb)
+        for t, f in ((middle, fm), (guess, None)):
+            if a < t < b:
+                f = value(t) if f is None else f
+                if f > 0.0:
+                    a, fa = t, f
+                else:
+                    b, fb = t, f

@@ -23,8 +23,8 @@ from ..geometry.tolerances import CLOSE, COINCIDE
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
 from ._kernels.events.gap import SAFETY
-from .crossing import crossing
 from .dense_step import DenseStep
+from .event_watch import crossing
 from .touching_points import Placed, TouchingPoints, Watched
 
 THIRDS = 8

@@ -199,7 +199,9 @@ class StepSlopes:
         found, softened, q = taken.found, taken.softened, taken.middle
         by_q, by_v, by_pushed, length = x[:nv], x[nv : 2 * nv], x[2 * nv : 3 * nv], -x[3 * nv]
         middle = self._middle(step, by_q, by_v, length)
-        stiffness, damping = self._laws(taken)
+        work, follows = self._work, taken.follows  # the drives that follow their laws
+        stiffness = np.where(follows, work.drive_stiffness, 0.0)
+        damping = work.damping + np.where(follows, work.drive_damping, 0.0)
         softer = 0.5 * damping + 0.5 * h * stiffness  # how what softens changes with h
         total = self._mass(q) + np.diag(softened)
         rows = self._rows(taken, v, (middle, by_v, length))
@@ -287,12 +289,6 @@ class StepSlopes:
         after -= np.outer(softer * change, length)
         mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
         return _Moved(middle, v_end, mean, rows.start, u_end, length, rows)
-
-    def _laws(self, taken: StepTaken) -> tuple[Array, Array]:
-        """Return stiffness and damping (nv,) of joints and of the drives that follow their laws."""
-        work = self._work
-        stiffness = np.where(taken.follows, work.drive_stiffness, 0.0)
-        return stiffness, work.damping + np.where(taken.follows, work.drive_damping, 0.0)
 
     def _rows(self, taken: StepTaken, v: Array, moved: tuple[Array, Array, Array]) -> _Rows:
         """Return the rows of a step, which starts with v (nv,), with their changes.

@@ -139,8 +139,6 @@ class TouchingPoints:
         Raises:
             InputError: A pair that overlaps by more.
         """
-        if not self._pairs:
-            return
         forward_kinematics(self._model, self._data, q, v)
         near = self._apart.at(q) <= rounding
         for number in np.flatnonzero(near).tolist():

@@ -89,15 +89,10 @@ def _resume(problem, s1, s2, gain, start, end, values):
 
 @always_inlined
 def cross(problem, units, move, after, start, end, rest_at, values):
-    """Bring the sensitivities to the end of a move.
+    """Bring the sensitivities to the end of a move; `after` is the row of the trace that follows its own.
 
-    Args:
-        move, after: Its row and the next of the trace.
-        start, end: P₃ at its ends,
-        rest_at: and where v_t = 0.
-
-    Returns:
-        −∫∫dP_t dP₃ (2) over the move, and the rate λ of resumed slip.
+    P₃ is `start` and `end` at its ends, and `rest_at` where v_t = 0. Returns −∫∫dP_t dP₃ (2) over the move,
+    and the rate λ of resumed slip.
     """
     s1, s2, span = move[7], move[8], end - start
     half, mu, k1, k2 = 0.5 * span * span, problem.mu, problem.k1, problem.k2

@@ -179,12 +179,9 @@ def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
 
 @always_inlined
 def _ending(problem, values, restored, rate, v3, total):
-    """Fill row END: how the P₃ at the end changes. (D14)
+    """Fill row END: how the P₃ at the end changes, for dv₃/dP₃ and v₃ there. (D14)
 
-    Args:
-        restored: Whether there was restitution.
-        rate, v3: dv₃/dP₃ and v₃ there.
-        total: The sum that the law counts over compression.
+    `restored` is whether there was restitution, `total` the sum that the law counts over compression.
     """
     e = problem.e
     if problem.counts == code.IMPULSE:
@@ -289,15 +286,9 @@ def _join(moves, rows):
 def _follow(problem, units, view, moves, values, rows, after3):
     """Go through the moves and fill the rows of v⁺ and P, in the `View`.
 
-    Args:
-        problem, units, view: The impact.
-        moves: (m, MOVE) trace of it,
-        rows: of which so many are filled.
-        values: (ROOM,) scratch, see `slip_derivatives`.
-        after3: v₃⁺.
-
-    Returns:
-        flags of `Boundary`, and how many columns have no derivative, from the first on.
+    Of its trace, moves (m, MOVE), so many rows are filled; values (ROOM,) are scratch, see
+    `slip_derivatives`, after3 is v₃⁺. Returns flags of `Boundary`, and how many columns have no derivative,
+    from the first on.
     """
     boundary, unknown, rows = code.NO_FLAG, code.NONE_YET, _join(moves, rows)
     at_rest = problem.speed <= VANISHED

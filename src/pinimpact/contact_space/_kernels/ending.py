@@ -86,12 +86,8 @@ def finish(
 ):
     """Close an impact: status and flags, and the way back to the user's axes and units.
 
-    Args:
-        velocity, impulse: v⁺ (3) and P (3) in the `View`.
-        trace, path: Their first `rows` and `points` rows are turned back too.
-
-    Returns:
-        the `Result`.
+    v⁺ (3) and P (3) are given in the `View`; the first `rows` of the trace and `points` of the path are
+    turned back too.
     """
     v1, v2, v3 = velocity
     p1, p2, p3 = impulse

@@ -35,12 +35,8 @@ def value_at(rows, i, degree, s):
 def first_fall(c, degree, h, zero, rows):
     """Return the first s in [0, h] from which on Σ c_k sᵏ is negative, `NEVER` if there is none.
 
-    Args:
-        c: (degree + 1,) coefficients.
-        degree: Of the polynomial.
-        h: End of the interval.
-        zero: Sizes up to this count as zero at s = 0; there the next coefficients decide.
-        rows: (4, degree + 1) scratch.
+    Sizes up to `zero` count as zero at s = 0; there the next coefficients decide. There are degree + 1
+    coefficients; rows (4, degree + 1) are scratch.
     """
     power, rest, left, right = rows[0], rows[1], rows[2], rows[3]
     largest, scale = 0.0, 1.0

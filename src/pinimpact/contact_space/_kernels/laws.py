@@ -55,14 +55,10 @@ def left_of_goal(counts, goal, v3, restored, restitution_work):
 
 @inlined
 def first_event(phase, counts, left, v3, rate):
-    """Find the first event while dv₃/dP₃ = rate stays constant.
+    """Return the normal impulse until the first event while dv₃/dP₃ = rate stays constant, and which it is.
 
-    Args:
-        counts: What the law counts.
-        left: In restitution, what is left of the goal.
-
-    Returns:
-        the normal impulse until the event (inf: none) and which one it is.
+    It is infinite where there is none. `counts` is what the law counts; in restitution `left` is left of its
+    goal.
     """
     if phase == codes.COMPRESSION:
         if rate > 0.0:

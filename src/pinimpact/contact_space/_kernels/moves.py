@@ -187,14 +187,10 @@ def tied(problem, s1, s2, speed, size1, size2, v3):
 @declared(Problem, Units, State, bool)
 @always_inlined_bitcode
 def slip_course(problem, units, state, fresh):
-    """Say how slip changes from here.
+    """Say how slip changes from here; with `fresh` p₀ is found, as at the start, and not carried along.
 
-    Args:
-        fresh: Whether p₀ is to be found (at the start), and not carried along.
-
-    Returns:
-        the `Course`, which holds if the next is True; whether slip is straight; the state with its p₀; the
-        polynomials of the present frame; b∥ and b⊥ in it.
+    Returns the `Course`, which holds if the next is True; whether slip is straight; the state with its p₀;
+    the polynomials of the present frame; b∥ and b⊥ in it.
     """
     s1, s2, speed, v3, turn, p1, p2, p3 = state
     mu = problem.mu
@@ -246,10 +242,7 @@ def resumed_direction(a11, a12, a22, b1, b2, mu):
     """Solve (λI + μA)σ = b, |σ| = 1, for λ ≥ 0, given that stick is impossible (‖A⁺b‖ > μ). (5.2)
 
     |(λI + μA)⁻¹b| falls steadily with λ, and its inverse is concave: Newton from a lower bound climbs
-    to the root without passing it.
-
-    Returns:
-        λ and the two components of the unit vector σ.
+    to the root without passing it. Returns λ and the two components of σ.
     """
     if a12 == 0.0:
         cos, sin, low, high = 1.0, 0.0, mu * a11, mu * a22
@@ -326,12 +319,7 @@ def leave_zero_slip(problem, state):
 def straight_move(problem, omega, course, state, phase, left):
     """Go along a `Course` to its next event or its end, in closed form.
 
-    Args:
-        omega: ω.
-        phase, left: Of the restitution, from the `Ledger`.
-
-    Returns:
-        the `Move` and the state after it.
+    `phase` and `left` are those of the `Ledger`. Returns the `Move` and the state after it.
     """
     s1, s2, speed, v3, turn, p1, p2, p3 = state
     mode, rate, gain, dp1, dp2, until, ends_slip, m0, t1 = course

@@ -20,14 +20,9 @@ SWEEPS = 100
 @declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @external
 def plastic_impulses(w, v, friction, given, impulse):
-    """Fill the impulses (3n,) that minimise ½ Pᵀ W P + Pᵀ v, |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
+    """Fill the impulses P (3n,) that minimise ½ Pᵀ W P + Pᵀ v, |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
 
-    Args:
-        w: (3n, 3n) W.
-        v: (3n,) velocities.
-        friction: (n,) μ.
-        given: (n,) least normal impulses, ≥ 0.
-        impulse: (3n,) takes P.
+    W is (3n, 3n), v (3n,) are velocities, friction (n,) μ, given (n,) least normal impulses, ≥ 0.
     """
     n = len(friction)
     largest, stiffest = TINY, TINY
@@ -72,13 +67,9 @@ def plastic_impulses(w, v, friction, given, impulse):
 def impulses_together(w, v, friction, given, stiffness, impulse):
     """Fill the impulses (3n,) of Coulomb's law on impulses: what slides neither parts nor approaches. (14.7)
 
-    Args:
-        w, v, friction, given: As in `plastic_impulses`.
-        stiffness: (n,) k; of several impulses the limit of small compliances 1/k is taken.
-        impulse: (3n,) takes P; where none is found, that of `plastic_impulses`.
-
-    Returns:
-        What they miss Coulomb's law by, in parts of the largest velocity.
+    Of several impulses those in the limit of small compliances 1/k are taken, for stiffness k (n,); where
+    none are found, those of `plastic_impulses`, see there for other arguments. Returns what they miss
+    Coulomb's law by, in parts of the largest velocity.
     """
     n = len(friction)
     compliance = np.empty(n)

@@ -36,12 +36,8 @@ def _nested(x, z, time):
 def _cross_straight(units, slip, around, time, mu, k1, k2, values):
     """Take the sensitivities along straight slip for a time of many e-folds, or to v_t = 0. (D11), (D33)
 
-    Args:
-        around: The polynomials of the direction that it keeps, to more digits than it has here.
-        time: Infinite: to v_t = 0.
-
-    Returns:
-        the `Slip` at its end, and the impulse until then.
+    `around` has the polynomials of the direction that it keeps, to more digits than it has here; an infinite
+    time leads to v_t = 0. Returns the `Slip` at its end, and the impulse until then.
     """
     s1, s2, speed, turn = slip
     here, n0, _, _, _ = frame_polynomials(units, s1, s2, turn)
@@ -82,10 +78,7 @@ def _cross_straight(units, slip, around, time, mu, k1, k2, values):
 def _next_panel(around, root, left):
     """Return the length of the next panel around an invariant direction, and how much slip still turns.
 
-    Args:
-        around: The polynomials of that direction.
-        root: Its half-angle tangent from here.
-        left: L that is left.
+    It has the polynomials `around`, and the half-angle tangent `root` from here; L is what is left.
     """
     at = abs(root)
     others = at * (abs(around.p2) + at * (abs(around.p3) + at * abs(around.p4))) / abs(around.p1)
@@ -104,16 +97,9 @@ def _turn_to(units, slip, root):
 
 @always_inlined
 def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values):
-    """Take the sensitivities across a move of slip.
+    """Take the sensitivities across a `Move` of slip, and return ∫∫σ dP₃ dP₃ (2) over it.
 
-    Args:
-        units, slip, mu, k1, k2, works, values: As in `cross_panel`.
-        length, root: Of the `Move`.
-        span: Its normal impulse times ω.
-        fast: The speed at its end.
-
-    Returns:
-        ∫∫σ dP₃ dP₃ (2) over the move.
+    `span` is its normal impulse times ω, `fast` the speed at its end; other arguments as of `cross_panel`.
     """
     i1 = i2 = m1 = m2 = left = size = 0.0
     kind, first = int(STRAIGHT), slip.speed  # int(): numba 0.61 cannot unify its literals

@@ -122,13 +122,9 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt)
 
 @inlined
 def expand(coefficients, p0, polynomials, near):
-    """Fill `coefficients` with those of S(x)/S(0). (3.10), (3.11)
+    """Fill `coefficients` with those of S(x)/S(0), which end where terms vanish at `near`. (3.10), (3.11)
 
-    Args:
-        near: How far the series is wanted: it ends where its terms vanish there.
-
-    Returns:
-        how many coefficients there are after the first, the size of the last, and the `Shape`.
+    Returns how many there are after the first, the size of the last, and the `Shape`.
     """
     p1, p2, p3, p4, m0, m1, m2, m3 = polynomials
     h = 0.5 * p0

@@ -44,14 +44,8 @@ def measure(series, nodes, counts, aim, x):
 def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
-    An iteration of third order inside a bracket.
-
-    Args:
-        f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs, or the second is zero.
-        rate: dv₃/dP₃ at 0.
-
-    Returns:
-        x.
+    An iteration of third order inside a bracket. f_low and f_high are the quantity less its aim at 0 and at
+    `high`, of opposite signs, or the second is zero; the rate is dv₃/dP₃ at 0.
     """
     if f_high == 0.0:
         return high

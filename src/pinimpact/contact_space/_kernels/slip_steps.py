@@ -108,17 +108,8 @@ class Step(NamedTuple):
 def slip_step(table, tangent, mu, v1, v2, h, k):
     """Take one step of slip from v_t over h.
 
-    Args:
-        table: The method.
-        tangent: A₁₁, A₁₂, A₂₂, b₁, b₂.
-        mu: Friction.
-        v1: Tangential velocity at the start,
-        v2: its second component.
-        h: Increment of P₃.
-        k: (m, 4) scratch for the stages.
-
-    Returns:
-        the numbers of a `Step`.
+    `tangent` is A₁₁, A₁₂, A₂₂, b₁, b₂, v_t = (v1, v2) the velocity at the start, h the increment of P₃, k (m,
+    4) scratch for the stages of the method. Returns the numbers of a `Step`.
     """
     a11, a12, a22, b1, b2 = tangent
     square = v1 * v1 + v2 * v2

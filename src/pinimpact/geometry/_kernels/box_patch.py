@@ -278,13 +278,9 @@ def sign(x):
 def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, points, others, gaps, kinds, kind):
     """Fill the patch of A over a face of B, as `box_patch` does; return −1 if A is beyond its sides.
 
-    Corners are points of A. Where the two faces are parallel corners of B are points of B, and where edges
-    cross they are points of the first box, so that it does not matter which face is the reference.
-
-    Args:
-        kind: Code of points of A.
-
-    Other arguments are as in `clip_face`.
+    Corners are points of A, of this kind. Where the two faces are parallel corners of B are points of B, and
+    where edges cross they are points of the first box, so that it does not matter which face is the
+    reference. Other arguments are as in `clip_face`.
     """
     polygon = np.empty((2 * MOST, 4))
     count = clip_face(a, half_a, axis, side, b, half_b, face, up, polygon)

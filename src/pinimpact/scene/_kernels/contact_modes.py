@@ -195,16 +195,9 @@ def reject_contacts(work, what, stopped, certain, rejected):
 def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen):
     """Fill the modes of limits and of joints with dry friction from the forces on their rows.
 
-    A force at its bound holds what it does not let move; else the row starts or keeps moving.
-
-    Args:
-        what: What is `Touching`, with accelerations that include the forces.
-        scalar: (nl + nv,) candidates past the contacts.
-        force: (m,) forces.
-        pace: (m,) accelerations that count as none.
-        stopped: (m,) takes whether the velocity of a row becomes zero.
-        against: (m,) takes the sign of the force on a joint that starts moving, else zero.
-        chosen: The `Choice` to be filled.
+    A force at its bound holds what it does not let move; else the row starts or keeps moving. `against` (m,)
+    takes the sign of the force on a joint that starts moving, else zero; `scalar` are candidates past the
+    contacts, other arguments as of `modes_of_contacts`.
     """
     modes, _, breaking, _ = chosen
     free, first = what.free, 3 * len(what.contacts)
@@ -228,14 +221,8 @@ def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chos
 def stop(work, what, candidates, start, stopped, against, chosen, v):
     """Stop the rows that come to rest; see `come_to_rest`, whose values it returns.
 
-    Args:
-        what: What is `Touching`; rows of contacts that begin to slip turn to their directions.
-        candidates: As in `find_modes`.
-        start: (m,) velocities of the rows [m/s], which turn likewise.
-        stopped: (m,) which of them vanish.
-        against: (m,) the sign of the force on a joint that starts moving, else zero.
-        chosen: The `Choice`, whose rejected candidates are added.
-        v: (nv,) the velocity, which is changed.
+    Rows of contacts that begin to slip, and their velocities in `start` (m,), turn to their directions. What
+    is rejected is added to the `Choice`. Other arguments as of `find_modes` and `modes_of_scalar_rows`.
     """
     contacts, joints, scalars, rows, velocity, _, slip, mu, held, _, _ = what
     modes, reference, _, rejected = chosen

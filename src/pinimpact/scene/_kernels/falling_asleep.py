@@ -26,8 +26,7 @@ def trees_at_rest(
     its end, and impulses take away all of its change: the next step is the same, and so are its impulses.
 
     Args:
-        v: (nv,) velocity at the start of the step.
-        v_end: (nv,) at the end.
+        v, v_end: (nv,) velocities at the start and at the end of the step.
         moved: (nv,) displacement by which overlap was taken away, over the length of the step.
         pushed: (nv,) change of the velocity by the impulses of the step.
         metres: (nv,) per unit of each velocity, see `joint_metres`.

@@ -44,12 +44,6 @@ def set_certain_speed(work):
 
 
 @inlined
-def set_direction_speed(work):
-    """Set below which speed slip has no direction but the one last known."""
-    work.direction_speed = min(certain(work), STILL * work.stick_speed)
-
-
-@inlined
 def behind(work):
     """Return the speed up to which a reversal is none: no more than the error of a step."""
     return min(STILL * work.stick_speed, work.certain_speed / CERTAIN)

@@ -17,7 +17,7 @@ from .events.registry import find_first_event
 from .force_choice import choose_forces
 from .samples import along, record_sample
 from .stiff_drives import rate_of_drives
-from .tolerances import ITERATED
+from .tolerances import ITERATED, STILL
 from .workspace import SceneWorkspace
 
 
@@ -26,20 +26,15 @@ from .workspace import SceneWorkspace
 def begin(work, t, q, v):
     """Begin a smooth motion: evaluate at its start, take the gaps and the stiffness of slip.
 
-    Args:
-        t: Time [s].
-        q: (nq,) configuration.
-        v: (nv,) velocity.
-
-    Returns:
-        A guess how long a bounce just begun lasts [s]; infinite where there is none.
+    Return a guess how long a bounce just begun lasts [s]; infinite where there is none.
     """
     rates, gaps, modes = work.stage_rates, work.start_gaps, work.modes
     n = len(v)
     assign(work.q0, q)
     assign(work.v0, v)
     slip.set_certain_speed(work)
-    slip.set_direction_speed(work)
+    # below it slip has no direction but the one last known
+    work.direction_speed = min(slip.certain(work), STILL * work.stick_speed)
     dynamics.set_state(work, q, v)
     for i in range(len(rates)):
         filled(rates[i, 2 * n :], 0.0)
@@ -124,13 +119,7 @@ def finish(work, t, h, error, explicit):
 
     What comes of it is in the workspace: the event, the margin and the drift at the end of the step, how much
     longer the next one may be, and the dense output; also the end as the next one's start, if no event cuts
-    it.
-
-    Args:
-        t: Its start [s].
-        h: Its length [s].
-        error: Its error over the tolerance.
-        explicit: Whether it was an explicit one.
+    it. The step of length h [s] starts at t [s]; the error is over the tolerance.
     """
     work.step_start, work.step_length = t, h
     work.end_margin = work.force_margin

@@ -34,13 +34,9 @@ LESS = 0.1
 @declared(FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def invert_trees(upper, added, tree, mass, inverse):
-    """Fill M (nv, nv) with what is added to its diagonal, and its inverse, tree by tree.
+    """Fill M (nv, nv) with what is added (nv,) to its diagonal, and its inverse, tree by tree.
 
-    Args:
-        upper: (nv, nv) M; its upper triangle counts.
-        added: (nv,) to the diagonal.
-        tree: (nv,) number of the tree that each velocity belongs to; other entries stay as they are, zero.
-        mass, inverse: To be filled.
+    Tree (nv,) is the number of that to which each velocity belongs; entries between trees stay zero.
     """
     nv = len(tree)
     moves = np.empty(nv, dtype=np.int64)
@@ -165,15 +161,9 @@ class Island(NamedTuple):
 
 @inlined
 def members(nc, number, label, first, tree, place):
-    """Return an `Island` by its number, and fill in its velocities' places.
+    """Return an `Island` by its number, the label of its trees, and fill in its velocities' places.
 
-    Args:
-        nc: How many contacts there are.
-        number: The label of its trees.
-        label: (trees,) see `label_trees`.
-        first: (items,) likewise.
-        tree: (nv,) number of the tree that each velocity belongs to.
-        place: (nv,) see `Island`.
+    There are `nc` contacts; label (trees,) and first (items,) see `label_trees`, place (nv,) see `Island`.
     """
     items, rows = np.empty(len(first), dtype=np.int64), np.empty(2 * nc + len(first), dtype=np.int64)
     moves = np.empty(len(tree), dtype=np.int64)

@@ -49,14 +49,8 @@ def scalar_modes(work, still, rows, found, dried):
 def joint_motion(work, h, v, softened, found, dried, powers, coefficients):
     """Fill the dense output of q and v, and the powers, times h, of control and drives and of joints.
 
-    Args:
-        h: Length of the step [s].
-        v: (nv,) velocity at the start.
-        softened: (nv,) see `StepSystem`.
-        found: The `StepResult`.
-        dried: (nv,) impulses of dry friction.
-        powers: (2, 2) takes those at the start and at the end.
-        coefficients: (terms, ≥ 2 nv) takes the dense output.
+    Arguments as of `report_step`; `dried` (nv,) are impulses of dry friction, powers (2, 2) takes those at
+    the start and at the end.
     """
     v_end, predicted, nv = found.v_end, found.predicted, len(v)
     turn, rate, mean = np.empty(nv), np.empty(nv), np.empty(nv)
@@ -80,15 +74,8 @@ def joint_motion(work, h, v, softened, found, dried, powers, coefficients):
 def contact_motion(work, h, still, rounding, rows, found, powers, forces):
     """Fill the mean forces of contacts, their modes, and the powers, times h, of friction and of surfaces.
 
-    Args:
-        work: The workspace; modes of contacts without impulse stay.
-        h: Length of the step [s].
-        still: Speed up to which nothing slips [m/s].
-        rounding: Impulse up to which nothing is closed [N s].
-        rows: The `StepRows`.
-        found: The `StepResult`.
-        powers: (2, 2) takes those at the start and at the end.
-        forces: The `MeanForces`.
+    Modes of contacts without impulse stay. Arguments as of `report_step`; `rounding` is the impulse up to
+    which nothing is closed [N s], powers (2, 2) takes those at the start and at the end.
     """
     contacts, held, surface = rows.contacts, rows.held, rows.surface
     impulse, u_start, u_end = found.impulse, found.u_start, found.u_end
@@ -132,9 +119,7 @@ def report_step(work, h, still, v, system, rows, found, coefficients, forces):
         h: Length of the step [s].
         still: Speed up to which nothing slips [m/s].
         v: (nv,) velocity at the start.
-        system: The `StepSystem`.
-        rows: The `StepRows`.
-        found: The `StepResult`.
+        system, rows, found: What the step was solved with.
         coefficients: (terms, 2 nv + works) takes the dense output; zero before.
         forces: Takes the `MeanForces`; zero before.
     """

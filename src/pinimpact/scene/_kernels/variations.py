@@ -149,11 +149,8 @@ def changes_at_end(
 def stop(rows, response, first, x):
     """Return changes after the least impulses that let some velocities vanish. (D26)
 
-    Args:
-        rows: (m, 2 nv) the velocities by the changes.
-        response: (nv, m) what impulses change,
-        first: and of which row on.
-        x: (2 nv, n) the changes; where a velocity is NaN they become so.
+    Rows (m, 2 nv) are these velocities by the changes x (2 nv, n), which become NaN where a velocity is;
+    impulses change by the response (nv, m) what is from row `first` on.
     """
     m, n = len(rows), x.shape[1]
     matrix, missed, forces = np.zeros((m, m)), np.zeros((m, n)), np.zeros((n, m))

@@ -32,8 +32,7 @@ LARGEST = 1e4
 def widest_margin(work, found):
     """Return the largest margin of all forces with the same motion at the state last evaluated [N].
 
-    Args:
-        found: (size,) takes its forces, if they keep within their bounds.
+    `found` (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
@@ -71,13 +70,8 @@ def widest_margin(work, found):
 def keep_motion(work, x, null, free):
     """Go to the forces last evaluated, and to the changes of them that do not change the motion.
 
-    Args:
-        x: (size,) takes the forces.
-        null: (size, size) a basis of what the rows do not feel, in its first rows; likewise.
-        free: How many these are.
-
-    Returns:
-        How many are left.
+    x (size,) takes the forces. The first rows of `null`, as many as are `free`, are a basis of what the rows
+    do not feel, and take that of these changes; return how many are left.
     """
     response = work.force_response
     size, n = response.shape
@@ -159,17 +153,9 @@ def count_bounds(work):
 def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
     """Fill the rows of G and h by which x + nullᵀy keeps to its bounds, by `margin` times a last unknown.
 
-    Args:
-        x: (size,) forces of least norm.
-        null: (free, size) what they leave open.
-        free: How many rows of it count.
-        unit: Of the forces.
-        margin: 1 or, for no such unknown, 0.
-        G, h: Zero before.
-        line, cone: The rows of the first half-line and of the first cone.
-
-    Returns:
-        The row after the last cone.
+    Forces x (size,) are those of least norm, `null` what they leave open, with rows that are `free`; `margin`
+    is 1, or 0 for no such unknown. G and h are zero before; `line` and `cone` are the rows of the first
+    half-line and of the first cone. Return the row after the last cone.
     """
     modes, mu = work.active_mode, work.active_friction
     lower, upper = work.scalar_lower, work.scalar_upper
