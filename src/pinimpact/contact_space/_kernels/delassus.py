@@ -118,10 +118,13 @@ class Delassus(NamedTuple):
     doubt: bool
 
 
+REGULAR, NOWHERE, ALONG_NORMAL = np.int64(3), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
 @inlined
-def _regular(w11, w12, w13, w22, w23, w33, k1, k2, s, least, spread):
-    """Return the `Delassus` of a W of full rank."""
-    return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, least, spread, 0.0, 0.0, 1.0, False)
+def _found(rank, w, stick, least, spread, null, doubt):
+    """Return a `Delassus` from W (6), κ with s (3), and the null vector (3)."""
+    return Delassus(*(rank, *w, *stick, least, spread, *null, doubt))
 
 
 @inlined
@@ -156,7 +159,7 @@ def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
     n1, n2, n3 = n
     norm = math.hypot(n1, n2)
     uncertain = ZERO * spread
-    two, nought = np.int64(2), 0.0
+    two = np.int64(2)
     # in turned axes the same W has its null vector to rounding times trace²/(sum of the principal minors)
     minors = w11 * w22 - w12 * w12 + w11 * w33 - w13 * w13 + w22 * w33 - w23 * w23
     trace = w11 + w22 + w33
@@ -164,24 +167,18 @@ def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
     doubt = noise * trace * trace < part < 2.0 * ZERO * trace * trace
     if norm <= uncertain:
         # nothing moves along the normal
-        return Delassus(
-            two, *(w11, w12, nought, w22, nought, nought, nought, nought, nought, least, spread),
-            *(nought, nought, 1.0, doubt),
-        )  # fmt: skip
+        return _found(two, (w11, w12, 0.0, w22, 0.0, 0.0), NOWHERE, least, spread, ALONG_NORMAL, doubt)
     if abs(n3) > uncertain:
-        return Delassus(
-            two, *(w11, w12, w13, w22, w23, w33, -n1 / n3, -n2 / n3, nought, least, spread),
-            *(n1, n2, n3, doubt),
-        )  # fmt: skip
+        stick = -n1 / n3, -n2 / n3, 0.0
+        return _found(two, (w11, w12, w13, w22, w23, w33), stick, least, spread, n, doubt)
     # the null direction is tangential: A has rank one along d, and b is parallel to d
     d1, d2 = n2 / norm, -n1 / norm
     alpha = d1 * (w11 * d1 + w12 * d2) + d2 * (w12 * d1 + w22 * d2)
     beta = w13 * d1 + w23 * d2
     ratio = beta / alpha
-    return Delassus(
-        two, *(alpha * d1 * d1, alpha * d1 * d2, beta * d1, alpha * d2 * d2, beta * d2, w33),
-        *(ratio * d1, ratio * d2, w33 - beta * ratio, least, spread, n1, n2, nought, doubt),
-    )  # fmt: skip
+    w = alpha * d1 * d1, alpha * d1 * d2, beta * d1, alpha * d2 * d2, beta * d2, w33
+    stick = ratio * d1, ratio * d2, w33 - beta * ratio
+    return _found(two, w, stick, least, spread, (n1, n2, 0.0), doubt)
 
 
 @inlined
@@ -226,7 +223,9 @@ def _graded(w11, w12, w13, w22, w23, w33):
         return True, _rank_two(*cleared, n, 0.0, min(l3 / l2, _spread(*cleared)), 0.0)
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = l1 > CORRELATED and det > 0.0 and largest > CORRELATED
-    return regular, _regular(w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0)
+    return regular, _found(
+        REGULAR, (w11, w12, w13, w22, w23, w33), (k1, k2, s), 0.0, 1.0, ALONG_NORMAL, False
+    )
 
 
 @inlined
@@ -241,19 +240,17 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
     l1, l2, l3, x, y, z = eigen(w11, w12, w13, w22, w23, w33)
     l1, l2, l3, x, y, z = _sort3(l1, l2, l3, x, y, z)
     zero = ZERO * max(abs(l1), abs(l3))
-    nought, one = 0.0, 1.0
     if l1 < -zero:
-        return Delassus(
-            np.int64(-1), *(w11, w12, w13, w22, w23, w33, nought, nought, nought, l1, one),
-            *(nought, nought, one, False),
-        )  # fmt: skip
+        return _found(np.int64(-1), (w11, w12, w13, w22, w23, w33), NOWHERE, l1, 1.0, ALONG_NORMAL, False)
     if l1 > zero:
         # κ = −(w₁, w₂)/w₃ and s = 1/w₃ with w = W⁻¹e₃, summed over the eigenvectors
         g1, g2, g3 = x[2] / l1, y[2] / l2, z[2] / l3
         q3 = g1 * x[2] + g2 * y[2] + g3 * z[2]
         k1 = -(g1 * x[0] + g2 * y[0] + g3 * z[0]) / q3
         k2 = -(g1 * x[1] + g2 * y[1] + g3 * z[1]) / q3
-        return _regular(w11, w12, w13, w22, w23, w33, k1, k2, 1.0 / q3, l1, l3 / l1)
+        return _found(
+            REGULAR, (w11, w12, w13, w22, w23, w33), (k1, k2, 1.0 / q3), l1, l3 / l1, ALONG_NORMAL, False
+        )
     if l2 > zero + max(l1, 0.0):  # else rounding would decide between their directions
         w11 -= l1 * x[0] * x[0]
         w12 -= l1 * x[0] * x[1]
@@ -266,21 +263,13 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
         tangential = z[0] * z[0] + z[1] * z[1]
         if tangential <= ZERO * ZERO:
             c = l3 * z[2] * z[2]
-            return Delassus(
-                np.int64(1), *(nought, nought, nought, nought, nought, c, nought, nought, c, l1, one),
-                *(nought, nought, one, False),
-            )  # fmt: skip
+            return _found(np.int64(1), (*NOWHERE, 0.0, 0.0, c), (0.0, 0.0, c), l1, 1.0, ALONG_NORMAL, False)
         z3 = z[2] if abs(z[2]) > ZERO else 0.0
         x1, x2, x3 = l3 * z[0], l3 * z[1], l3 * z3
-        return Delassus(
-            np.int64(1), *(x1 * z[0], x1 * z[1], x1 * z3, x2 * z[1], x2 * z3, x3 * z3),
-            *(z3 / tangential * z[0], z3 / tangential * z[1], nought, l1, one),
-            *(nought, nought, math.sqrt(tangential), False),
-        )  # fmt: skip
-    return Delassus(
-        np.int64(0), *(nought, nought, nought, nought, nought, nought, nought, nought, nought, l1, one),
-        *(nought, nought, one, False),
-    )  # fmt: skip
+        w = x1 * z[0], x1 * z[1], x1 * z3, x2 * z[1], x2 * z3, x3 * z3
+        stick = z3 / tangential * z[0], z3 / tangential * z[1], 0.0
+        return _found(np.int64(1), w, stick, l1, 1.0, (0.0, 0.0, math.sqrt(tangential)), False)
+    return _found(np.int64(0), (*NOWHERE, *NOWHERE), NOWHERE, l1, 1.0, ALONG_NORMAL, False)
 
 
 @inlined
@@ -289,7 +278,9 @@ def clear(w11, w12, w13, w22, w23, w33, least):
     trace = w11 + w22 + w33
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = det > 0.0 and det > least * trace * trace * trace
-    return regular, _regular(w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0)
+    return regular, _found(
+        REGULAR, (w11, w12, w13, w22, w23, w33), (k1, k2, s), 0.0, 1.0, ALONG_NORMAL, False
+    )
 
 
 FORMED = 4.0 * EPS
@@ -356,7 +347,6 @@ def of_factor(x, y, z, formed):
     size = math.sqrt(c11 * c11 + c22 * c22 + normal * normal)
     formed = max(formed if formed > 0.0 else UNKNOWN * size, size)
     zero, noise = FORMED * formed, FORMED_NOISE * formed
-    nought, one = 0.0, 1.0
     k1 = k2 = s = area = 0.0
     n3 = 1.0
     d1 = d2 = d3 = 0.0  # a third column, in which the rows are as the null vector n ∝ (−κ, 1) wants them
@@ -394,16 +384,11 @@ def of_factor(x, y, z, formed):
     s = c33 * c33
     rank = np.int64(c11 > 0.0) + np.int64(c22 > 0.0) + np.int64(c33 > 0.0)
     # the null vectors are known to ZERO times this
-    spread = one
+    spread = 1.0
     if size > 0.0:
-        spread = max(formed / UNKNOWN * (size / area if area > 0.0 else 1.0 / size), one)
-    return (
-        Delassus(
-            rank, *(c11 * c11 + d1 * d1, d1 * d2, c11 * c31 + d1 * d3),
-            *(c22 * c22 + d2 * d2, c22 * c32 + d2 * d3),
-            *(c31 * c31 + c32 * c32 + c33 * c33 + d3 * d3, k1, k2, s),
-            *(nought, spread, nought, nought, n3),
-            doubt,
-        ),
-        *(e1, e2, rest),
-    )  # fmt: skip
+        spread = max(formed / UNKNOWN * (size / area if area > 0.0 else 1.0 / size), 1.0)
+    w = (
+        *(c11 * c11 + d1 * d1, d1 * d2, c11 * c31 + d1 * d3, c22 * c22 + d2 * d2, c22 * c32 + d2 * d3),
+        c31 * c31 + c32 * c32 + c33 * c33 + d3 * d3,
+    )
+    return _found(rank, w, (k1, k2, s), 0.0, spread, (0.0, 0.0, n3), doubt), e1, e2, rest
