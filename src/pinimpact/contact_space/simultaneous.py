@@ -14,7 +14,7 @@ import numpy as np
 from .._numeric.tolerances import ROUNDING
 from ..checks import choice
 from ..errors import BoundReachedWarning
-from ._kernels.tolerances import MISSED
+from ._kernels.tolerances import BY_STEPS, MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
@@ -186,7 +186,7 @@ POLICIES: Mapping[str, Policy] = MappingProxyType(
             "the LZB model: impulses propagate through stiff contacts on an internal clock, with "
             "the energetic law; unique, symmetric, creates no energy; depends on ratios of "
             "stiffness",
-            {"exponent": 1.0, "rtol": RTOL, "accuracy": MISSED},
+            {"exponent": 1.0, "rtol": RTOL, "accuracy": BY_STEPS},
         ),
         "sequence": Policy(
             lambda inputs, _: _one_by_one(inputs, "sequence", lambda rates: int(np.argmin(rates))),

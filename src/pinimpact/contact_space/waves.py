@@ -12,7 +12,7 @@ import numpy as np
 from .._numeric.tolerances import LITTLE, TINY
 from ..checks import in_short, real_number
 from ..errors import InputError
-from ._kernels.tolerances import AGREE, FINEST, MISSED
+from ._kernels.tolerances import AGREE, BY_STEPS, FINEST, MISSED
 from .at_once import solve_together
 from .inputs import Array
 from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
@@ -27,14 +27,17 @@ MOST_STEPS = 3000
 """Steps from one event to the next, at most: about as many as adaptive steps take through the whole impact,
 whose number is as the fourth root of their accuracy."""
 
+COARSEST = 0.1 * LITTLE
+"""The least accuracy that may be asked of adaptive steps."""
+
 
 def propagate_waves(
-    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = MISSED
+    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = BY_STEPS
 ) -> ManySolution:
     """Follow the waves of an impact, with forces F ∝ δ^exponent and series to a relative accuracy `rtol`.
 
-    Where events cannot be followed one by one it is integrated by adaptive steps, in passes whose velocities
-    differ by a part `accuracy` of the largest, or, where that is zero, taken as plastic.
+    Where events cannot be followed one by one it is integrated by adaptive steps, which miss a part
+    `accuracy` of the largest velocity, or, where that is zero, taken as plastic.
     """
     from ._kernels.propagation import propagate
 
@@ -43,9 +46,9 @@ def propagate_waves(
             f"exponent: {in_short(exponent)} given, 1 (linear) or 1.5 (Hertz) expected", value=exponent
         )
     rtol = checked_rtol(rtol, LEAST_RTOL)
-    if not 0.0 <= real_number("accuracy", accuracy) <= LITTLE:
-        raise InputError(f"accuracy: {in_short(accuracy)} given, 0 to {LITTLE:g} expected", value=accuracy)
-    most = round(MOST_STEPS * (MISSED / max(accuracy, MISSED)) ** 0.25)
+    if not 0.0 <= real_number("accuracy", accuracy) <= COARSEST:
+        raise InputError(f"accuracy: {in_short(accuracy)} given, 0 to {COARSEST:g} expected", value=accuracy)
+    most = round(MOST_STEPS * (BY_STEPS / max(accuracy, BY_STEPS)) ** 0.25)
     n = len(inputs.velocity)
     velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
     rows = np.empty((64 * n + 64, 5))
@@ -95,6 +98,11 @@ def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
     )
 
 
+FIRST, TENFOLD = 20.0, 10.0
+"""By how much steps of the first pass are more accurate than what is asked, and each pass than the one before.
+Errors are proportional to that of a step: passes then differ by two times what is asked, the second misses a
+ninth of it, and one in fifty impacts needs a third."""
+
 MOST_SHORT_STEPS = 20_000
 """Steps that a pass may take, about 0.3 s."""
 
@@ -113,7 +121,7 @@ def _propagate_in_steps(
     """Follow waves by adaptive steps, to what is asked; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
-    by_steps, steps, accuracy, rows = np.inf, 0, LITTLE * asked, _rows_of(inputs.delassus)
+    by_steps, steps, accuracy, rows = np.inf, 0, asked / FIRST, _rows_of(inputs.delassus)
     missed = math.inf
     numbers: Array | None = None
     last: Array | None = None
@@ -129,7 +137,7 @@ def _propagate_in_steps(
         if before is not None:  # what two extrapolations differ by
             change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
             missed = max(by_steps, change)
-            if k > 1 and (change <= max(by_steps, AGREE, 0.1 * asked) or steps > SPENT):
+            if k > 1 and (change <= max(by_steps, AGREE, asked) or steps > SPENT):
                 break
     if numbers is None:
         return None
@@ -155,7 +163,7 @@ def _propagate_in_steps(
         *(inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0)),
         notes=(*notes_on_law(inputs), text),
         path=story,
-        bounded=missed > max(MISSED, asked),
+        bounded=missed > max(MISSED, TENFOLD * asked),
     )
 
 
@@ -178,7 +186,7 @@ def _passes(
         inputs: The impact.
         exponent: Of its forces.
         rows: (3n, r) J with W = J Jᵀ.
-        asked: By how much they may differ at the end; the last one misses about a tenth of that.
+        asked: What the last one may miss. It misses a ninth of what it differs by from the one before.
         accuracy: Of the first pass; a coarser one takes its place where it takes too many steps.
         missed: What that is known to miss, of a nearly equal impact; then one pass is enough.
 
@@ -191,20 +199,20 @@ def _passes(
     if steps > 0 and missed < np.inf:
         return best, missed, steps, accuracy
     finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
-    while steps == 0 and accuracy < max(AGREE, 0.1 * asked):
-        accuracy *= 10.0
+    while steps == 0 and accuracy < max(AGREE, asked):
+        accuracy *= TENFOLD
         steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
         total += steps or MOST_SHORT_STEPS
     if steps == 0:
         return None
-    while finer and missed > asked and accuracy > FINEST:
-        steps, other = _pass(inputs, exponent, rows, 0.1 * accuracy, nowhere)
+    while finer and missed > TENFOLD * asked and accuracy > FINEST:
+        steps, other = _pass(inputs, exponent, rows, accuracy / TENFOLD, nowhere)
         total += steps or MOST_SHORT_STEPS
         if steps == 0:
             break
-        best, missed, accuracy = other, _differ(inputs, best, other), 0.1 * accuracy
+        best, missed, accuracy = other, _differ(inputs, best, other), accuracy / TENFOLD
     if missed == np.inf:
-        steps, other = _pass(inputs, exponent, rows, 10.0 * accuracy, nowhere)
+        steps, other = _pass(inputs, exponent, rows, TENFOLD * accuracy, nowhere)
         total, missed = total + steps, _differ(inputs, best, other) if steps > 0 else np.inf
     return (best, missed, total, accuracy) if missed <= LITTLE else None
 

@@ -11,11 +11,12 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import LITTLE, RANK, TINY
+from .._numeric.tolerances import RANK, TINY
 from ..arrays import Array, Bools, Integers
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
+from ..contact_space.waves import COARSEST
 from ..errors import IrregularMotionError, PinimpactError, SimulationError, UnstoppableApproachError
 from ..robot._kernels.responses import taking_part
 from ..robot.contact import Contact
@@ -312,12 +313,9 @@ class SceneImpacts:
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
     def _accuracy(self, velocity: Array) -> float:
-        """Return by how much passes by steps may differ in velocities (n, 3), in parts of the largest.
-
-        Their steps miss `LITTLE` of that, and the last pass some ten steps' worth.
-        """
+        """Return what adaptive steps through waves may miss of velocities (n, 3), in parts of the largest."""
         missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
-        return min(max(0.1 / LITTLE * self._dynamics.work.rtol, missed), LITTLE)
+        return min(max(self._dynamics.work.rtol, missed), COARSEST)
 
     def islands(self, contacts: Integers) -> int:
         """Return how many islands of trees of joints contacts connect; the world connects nothing."""

@@ -86,13 +86,13 @@ FOUND = 1e-8
 """What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
 
 MISSED = 1e-6
-"""Part of velocities, impulses and works that may be missed or gained, before waves count as lost; of the
-largest velocity by which two passes by steps may differ, unless another is asked; and that an approach may
-keep after a plastic impact, where forces are large."""
+"""Part of velocities, impulses and works that may be missed or gained, before waves count as lost; and of the
+largest velocity that an approach may keep after a plastic impact, where forces are large."""
 
 AGREE = 0.1 * MISSED
 """Part of the largest velocity to which plastic ends and extrapolations to e = 0 agree that are taken for the
 same, and that a step may miss at the most; unless less is asked."""
 
-FINEST = 2.0 * NOISE
-"""What a step may miss at least."""
+BY_STEPS, FINEST = 0.2 * AGREE, 2.0 * NOISE
+"""Part of the largest velocity that an integration by steps may miss, unless another is asked; and what a
+step may miss at least."""
