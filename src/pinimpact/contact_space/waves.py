@@ -99,9 +99,9 @@ def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
 
 
 FIRST, TENFOLD = 20.0, 10.0
-"""By how much steps of the first pass are more accurate than what is asked, and each pass than the one before.
-Errors are proportional to that of a step: passes then differ by two times what is asked, the second misses a
-ninth of it, and one in fifty impacts needs a third."""
+"""By how much steps of the first pass are more accurate than what is asked, and each pass than the one
+before. Errors are proportional to that of a step: passes then differ by two times what is asked, the second
+misses a ninth of it, and one in fifty impacts needs a third."""
 
 MOST_SHORT_STEPS = 20_000
 """Steps that a pass may take, about 0.3 s."""
