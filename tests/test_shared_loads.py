@@ -158,3 +158,36 @@ def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, spee
     assert run.joint_forces([0.5 * t])[0, 1] / length**2 == pytest.approx(-force * square, rel=3e-5)
     gone = speed * t - (0.5 * MU * force * t**2 if speed else 0.0)
     assert run.q[-1, 0] / length == pytest.approx(gone, abs=1e-7)
+
+
+@pytest.mark.parametrize(("scheme", "known"), [("event-driven", 1e-9), ("time-stepping", 1e-6)])
+def test_a_joint_bears_no_more_than_its_dry_friction_of_a_load_it_shares(scheme, known):
+    """The end of an arm of 1 kg and 1 m slides on a floor, pressed onto it by 10 N for each metre of the way.
+
+    At equal stiffness its hinge would bear more than the bound τ: N = m g/2 − τ + k x, and ẍ = −μ N/m.
+    """
+    bound, stiffness, t, start = 1.0, 10.0, 0.2, 2.0
+    model = pin.Model()
+    rail = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
+    hinge = model.addJoint(rail, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(
+        hinge, pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity()
+    )
+    end = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("end", hinge, 0, end, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction = np.array([0.0, bound])
+
+    def press(_, q, v):
+        return np.array([0.0, stiffness * q[0]])
+
+    press.jacobian = lambda _, q, v: np.array([[0.0, 0, 0, 0], [stiffness, 0, 0, 0]])
+    scene = Scene(model, [Contact("end", Plane(), friction=MU, name="end")], control=press)
+    run = simulate(scene, [0.0, 0.0], [start, 0.0], t, scheme=scheme, sensitivities="state")
+    pace, middle = np.sqrt(MU * stiffness), (bound - 0.5 * G) / stiffness
+    gone = middle + start / pace * np.sin(pace * t) - middle * np.cos(pace * t)
+    assert run.q[-1, 0] == pytest.approx(gone, abs=known)
+    assert run.joint_forces([0.1, t])[:, 1] == pytest.approx(-bound, rel=1e-6)
+    if scheme == "event-driven":
+        found = run.sensitivity(t).state[[0, 2], 2]
+        assert found == pytest.approx([np.sin(pace * t) / pace, np.cos(pace * t)], abs=1e-8)

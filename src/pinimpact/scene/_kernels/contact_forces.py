@@ -204,14 +204,15 @@ def may_grow(effective):
 def solve_least_norm(work):
     """Fill the limit of small compliances, without contacts that pull where the others can do without them.
 
-    It is the solution of least norm where no contact rubs. Where forces within their bounds are known from
-    before it is the same for what differs from them, and it shows that such forces still exist.
+    Likewise, where a contact rubs, with stops and joints at their bounds. It is the solution of least norm
+    where none does. Where forces within their bounds are known from before it is the same for what differs
+    from them, and it shows that such forces still exist.
 
     Returns:
         Whether there are no other solutions.
     """
     modes, system, target, solution = work.active_mode, work.system, work.target, work.solution
-    known = work.inner_forces
+    known, lower, upper = work.inner_forces, work.scalar_lower, work.scalar_upper
     size = len(target)
     no_basis = np.empty((0, size))
     trial, columns, part, right = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
@@ -236,7 +237,7 @@ def solve_least_norm(work):
             work.rank_tolerance = FINEST
             assign(solution, trial)
     assign(trial, solution)
-    pushes = flags(size, True)
+    pushes, given = flags(size, True), np.zeros(size)
     while True:
         pull, pulling, width = 0.0, size, 0
         a = 0
@@ -245,6 +246,11 @@ def solve_least_norm(work):
             if modes[k] != HELD and pushes[a] and trial[a + rows - 1] < pull:
                 pull, pulling, width = trial[a + rows - 1], a, rows
             a += rows
+        for m in range(size - a if shares else 0):
+            bound = min(max(trial[a + m], lower[m]), upper[m])
+            if pushes[a + m] and -abs(trial[a + m] - bound) < pull:
+                pull, pulling, width = -abs(trial[a + m] - bound), a + m, 1
+                given[pulling] = bound
         if pulling == size:
             assign(solution, trial)
             return unique
@@ -254,7 +260,7 @@ def solve_least_norm(work):
             right[a] = target[a]
             for b in range(size):
                 columns[a, b] = system[a, b] if pushes[b] else 0.0
-                right[a] -= columns[a, b] * known[b]
+                right[a] -= system[a, b] * (known[b] if pushes[b] else given[b])
         least_norm(columns, right, work.rank_tolerance, part, no_basis)
         if shares:
             for a in range(size):
@@ -262,7 +268,7 @@ def solve_least_norm(work):
                     columns[a, b] *= pushes[a]
             share_by_compliances(columns, work.rank_tolerance, part)
         for a in range(size):
-            trial[a] = part[a] + known[a] if pushes[a] else 0.0
+            trial[a] = part[a] + known[a] if pushes[a] else given[a]
         if not missed_by(work, trial) <= NEGLIGIBLE:
             return unique
 

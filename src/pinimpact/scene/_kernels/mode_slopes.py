@@ -92,7 +92,7 @@ def slopes_along(
     scratch, axes = np.empty((len(parent), 6)), np.empty((len(index), 3, 3))
     moved = np.empty((len(index), 3, nv))
     by_state = np.zeros((stages, nv + rows, 2 * nv))
-    response, inverse = np.empty((stages, nv, rows)), np.empty((stages, nv, nv))
+    response, inverse = np.zeros((stages, nv, rows)), np.empty((stages, nv, nv))
     turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
     for i in range(stages):
         _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, known, free, q, v)
@@ -217,11 +217,13 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
             total = dot(inverse[i], push)
             for j in range(nv):
                 by_state[i, nv + j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
-    for j in work.scalar_velocity:
-        metres = work.joint_metres[j]
-        by_state[row, nv + j] = metres
-        for i in range(nv):
-            response[i, row - nv] = metres * inverse[i, j]
+    for k in range(len(work.scalar_velocity)):
+        j = work.scalar_velocity[k]
+        held, metres = work.solution[row - nv], work.joint_metres[j]
+        if work.forces_unique or work.scalar_lower[k] < held < work.scalar_upper[k]:  # not at a bound
+            by_state[row, nv + j] = metres
+            for i in range(nv):
+                response[i, row - nv] = metres * inverse[i, j]
         row += 1
 
 
