@@ -799,3 +799,34 @@ def test_changes_of_a_motion_that_stands_still_keep_to_the_tolerance(rtol):
     found, exact = run.sensitivity(duration).state, np.array([[c, s / w], [-w * s, c]])
     scale = np.array([[1.0, 1.0 / w], [w, 1.0]])
     assert np.abs((found - exact) / scale).max() < 30 * rtol  # some thirty intervals
+
+
+def test_two_joints_that_come_to_rest_together_beside_a_sliding_contact():
+    """Dry friction stops a leg that slides along: all three hold it then, and share the impulse of that.
+
+    Impulses that friction shares in several ways do not tell the motion, the time at which the leg stops does.
+    """
+    model, joint, first, second = pin.Model(), 0, -0.5, 1.3
+    for k, kind in enumerate((pin.JointModelPX, pin.JointModelRY, pin.JointModelRY)):
+        place = pin.SE3(np.eye(3), np.array([float(k == 2), 0.0, 0.0]))
+        joint = model.addJoint(joint, kind(), place, f"j{k}")
+        inertia = pin.Inertia(1.0, np.array([0.5 * (k > 0), 0.0, 0.0]), 0.1 * np.eye(3))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    end = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("end", joint, 0, end, pin.FrameType.OP_FRAME))
+    model.friction = np.array([0.0, 8.0, 8.0])
+    height = -np.sin(first) - np.sin(first + second)
+    floor = Contact("end", Plane((0.0, 0.0, height)), friction=0.3, name="end")
+    scene = Scene(model, [floor], without=["joint limits"])
+    q0, folds = np.array([0.0, first, second]), np.cos([first, first + second])
+    fold = np.array([0.0, 1.0, -folds.sum() / folds[1]])
+
+    def after(speed, **options):
+        v0 = np.array([3.0, 0.0, 0.0]) + speed * fold
+        return simulate(scene, q0, v0, 0.0252, **EXACT, **options)  # it has stopped at 0.02515
+
+    run, h = after(0.5, sensitivities="state"), 1e-4
+    assert [mode.source for mode in run.modes if mode.mode == "stuck"] == ["j1", "j2"]
+    low, high = (np.concatenate([one.q[-1], one.v[-1]]) for one in (after(0.5 - h), after(0.5 + h)))
+    found = run.sensitivity(0.0252).state[:, 3:] @ fold
+    np.testing.assert_allclose(found, (high - low) / (2.0 * h), rtol=0, atol=1e-5)

@@ -178,10 +178,13 @@ class Saltation:
             joints = np.flatnonzero((dry != 0.0) & ((later[count:] != 0) | (dry * sliding < 0.0)))
             lost = bool(((modes != 0) & ((later == 0) | (modes > later))).any())
             reversed_ = len(turns) > 0 or bool((dry * sliding < 0.0).any())
-            if len(ends) + len(joints) > 0 and not lost and not reversed_:
+            # impulses that may be shared in several ways do not tell the motion where something rubs
+            shared = after.closed is not None and not after.closed.unique and len(plus.slips) > 0
+            if len(ends) + len(joints) > 0 and not lost and not reversed_ and not shared:
                 return _onto(plus, x)
-            if len(ends) + len(turns) + len(joints) == 1:
-                x = _through_rest(x, minus, [*ends, *turns], joints, rates)
+            alone = len(ends) + len(turns) + (min(len(joints), 1) if shared else len(joints)) == 1
+            if alone:
+                x = _through_rest(x, minus, [*ends, *turns], joints[:1], rates)
             elif not np.linalg.norm(rates[0] - rates[1]) <= REMAINS * np.linalg.norm(rates[0]):
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
             if np.isnan(x).all():
