@@ -804,7 +804,7 @@ def test_changes_of_a_motion_that_stands_still_keep_to_the_tolerance(rtol):
 def test_two_joints_that_come_to_rest_together_beside_a_sliding_contact():
     """Dry friction stops a leg that slides along: all three hold it then, and share the impulse of that.
 
-    Impulses that friction shares in several ways do not tell the motion, the time at which the leg stops does.
+    Impulses that may be shared in several ways do not tell the motion, the time at which the leg stops does.
     """
     model, joint, first, second = pin.Model(), 0, -0.5, 1.3
     for k, kind in enumerate((pin.JointModelPX, pin.JointModelRY, pin.JointModelRY)):
