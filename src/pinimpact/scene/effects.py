@@ -132,13 +132,7 @@ def _in_words(contacts: Iterable[Contact]) -> str:
 
 
 def make_plan(scene: Scene, control: str, events: Sequence[str]) -> Plan:
-    """Derive the plan of a scene.
-
-    Args:
-        scene: The scene.
-        control: A clause on its control, empty where there is none.
-        events: Names of its events.
-    """
+    """Derive the plan of a scene with these names of events, and a clause on its control, empty for none."""
     layout, contacts, without, resting_speed = scene.layout(), scene.contacts, scene.without, scene.rest
     unreachable, limits = layout.unreachable, len(layout.limits)
     watched = len(contacts) - len(unreachable)

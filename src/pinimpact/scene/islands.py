@@ -20,9 +20,7 @@ def tree_roots(model: pin.Model) -> Integers:
 def islands(roots: Integers, ends: Integers) -> Integers:
     """Return numbers (njoints,) of the islands into which contacts connect trees; the world connects none.
 
-    Args:
-        roots: Of the trees, see `tree_roots`.
-        ends: (k, 2) roots of what each contact is between.
+    For roots see `tree_roots`; ends (k, 2) are those of what each contact is between.
     """
     island = np.arange(len(roots))
     for a, b in ends[(ends > 0).all(axis=1)].tolist():

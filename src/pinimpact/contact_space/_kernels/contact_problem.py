@@ -106,8 +106,7 @@ def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
 def canonical(w12, w13, w23, w11, w22, v1, v2):
     """Choose signs and order of the tangent axes so that mirrored problems are one problem.
 
-    Returns:
-        the signs of t₁ and t₂, whether they are then swapped, and whether that changes nothing.
+    Returns the signs of t₁ and t₂, whether they are then swapped, and whether that changes nothing.
     """
     sign1 = -1.0 if v1 < 0.0 or (v1 == 0.0 and w13 < 0.0) else 1.0
     sign2 = -1.0 if v2 < 0.0 or (v2 == 0.0 and w23 < 0.0) else 1.0
@@ -174,8 +173,7 @@ def _of_factor(factor, scale_w, sign1, sign2, swapped):
 def _seen(w11, w12, w13, w22, w23, w33, v1, v2, v3):
     """Scale a problem by powers of two and mirror it: problems that differ by these get the same bits.
 
-    Returns:
-        W, v, the exponents of their scales, and the signs, order and symmetry of the axes, as in `View`.
+    Returns W, v, the exponents of their scales, and the signs, order and symmetry of the axes, as in `View`.
     """
     largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
     largest_v = max(abs(v1), abs(v2), abs(v3))

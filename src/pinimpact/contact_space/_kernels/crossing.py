@@ -67,11 +67,7 @@ def _without_friction(problem, p3, values):
 
 @inlined
 def _resume(problem, s1, s2, gain, start, end, values):
-    """Bring the sensitivities of resumed slip from `start` to `end`, counted from v_t = 0. (D13)
-
-    Args:
-        s1, s2, gain: σ and λ.
-    """
+    """Bring the sensitivities of resumed slip, σ and λ, from `start` to `end`, counted from v_t = 0. (D13)"""
     mu, kl, middle = problem.mu, problem.k1 * s1 + problem.k2 * s2, 0.5 * (start + end)
     _, skew, across, _, _ = in_frame(problem.a11, problem.a12, problem.a22, 0.0, 0.0, s1, s2)
     combine(values, VT1, -gain * s1, STOP, 0.0, STOP)

@@ -129,11 +129,7 @@ def _found(rank, w, stick, least, spread, null, doubt):
 
 @inlined
 def eliminate(w11, w12, w13, w22, w23, w33):
-    """Solve for stick by elimination with the larger pivot first.
-
-    Returns:
-        det W (0 where a pivot is not positive), κ (2) and s.
-    """
+    """Return det W (0 where a pivot is not positive), κ (2) and s, by elimination, the larger pivot first."""
     first = w11 >= w22
     pivot, other, bp, bo = (w11, w22, w13, w23) if first else (w22, w11, w23, w13)
     if pivot > 0.0:
@@ -200,8 +196,7 @@ def _unit_of(x):
 def _graded(w11, w12, w13, w22, w23, w33):
     """Classify a W of which a row is small, in units in which its diagonal is of order one. (6.2)
 
-    Returns:
-        whether that decides, and the `Delassus` if it does.
+    Returns whether that decides, and the `Delassus` if it does.
     """
     u1, u2, u3 = _unit_of(w11), _unit_of(w22), _unit_of(w33)
     g11, g22, g33 = w11 * u1 * u1, w22 * u2 * u2, w33 * u3 * u3

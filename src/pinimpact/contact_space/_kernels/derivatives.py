@@ -68,9 +68,7 @@ GROWTH = 50.0
 def _add_identity(problem, values, row, t, p1, p2, p3):
     """Add what v₃ = v₃° + κ·(v_t − v_t°) + s P₃ changes by at fixed v_t, or its integral. (D4)
 
-    Args:
-        t: 1, or its integral over P₃,
-        p1, p2, p3: and P, or its integral.
+    `t` is 1 and p are P, or their integrals over P₃.
     """
     k1, k2 = problem.k1, problem.k2
     values[row + V1] -= k1 * t
@@ -147,12 +145,7 @@ def _to_user(view, values, out):
 
 @always_inlined
 def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
-    """Fill the derivatives at the end, where P₃ changes by row END. (D15)
-
-    Args:
-        rate1, rate2, rate: dv/dP₃ there.
-        p1, p2, p3: P.
-    """
+    """Fill the derivatives at the end, where P₃ changes by row END, from dv/dP₃ and P there. (D15)"""
     a11, a12, a22 = problem.a11, problem.a12, problem.a22
     det = a11 * a22 - a12 * a12
     trace = a11 + a22

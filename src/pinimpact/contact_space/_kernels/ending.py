@@ -147,10 +147,8 @@ def followed(
 ):
     """Return the values of the `Result` of an impact that has been followed, or of why there is none.
 
-    Args:
-        status: SEPARATED or LOCKED, else that of an error, with the figure of its message.
-        ledger: The `Ledger` at the end.
-        view, problem, flags, iterations, velocity, impulse, trace, rows, path, points: As in `finish`.
+    The status is SEPARATED or LOCKED, else that of an error, with the figure of its message; the `Ledger`
+    is that at the end. Other arguments are as in `finish`.
     """
     if status not in (codes.SEPARATED, codes.LOCKED):
         return plain(no_result(status, math.ldexp(figure, view.scale_v)))

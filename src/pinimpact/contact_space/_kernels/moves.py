@@ -172,9 +172,7 @@ def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
 def tied(problem, s1, s2, speed, size1, size2, v3):
     """Return v₃ = κ·v_t + η, which ties the two where s = 0, if it is surer than `v3`, a sum over the path.
 
-    Args:
-        s1, s2, speed: Slip,
-        size1, size2: and the sizes of the terms that its direction was summed from.
+    size1 and size2 are the sizes of the terms that the direction of slip was summed from.
     """
     k1, k2 = problem.k1, problem.k2
     if speed * (abs(k1) * size1 + abs(k2) * size2) + abs(problem.offset) < abs(problem.v3):
@@ -275,8 +273,7 @@ def resumed_direction(a11, a12, a22, b1, b2, mu):
 def leave_zero_slip(problem, state):
     """Say what follows v_t = 0: stick, or slip that resumes along the diverging invariant direction. (5)
 
-    Returns:
-        the `Course`, the state, and flags to be set.
+    Returns the `Course`, the state, and flags to be set.
     """
     s1, s2, _, v3, _, p1, p2, p3 = state
     k1, k2, s, mu, c, b1, b2 = (

@@ -81,10 +81,7 @@ def record_point(path, points, p3, v1, v2, v3, p1, p2):
 def record_series(path, points, series, x, d1, d2, p1, p2, p3):
     """Append the points of turning slip between 0 and x, both excluded.
 
-    Args:
-        series: The `SlipSeries`.
-        d1, d2: Its first axis.
-        p1, p2, p3: Impulse at its start.
+    The `SlipSeries` has the first axis (d1, d2), the impulse at its start is (p1, p2, p3).
     """
     end, count = (min(x, SETTLED), 4 * POINTS) if series.around_invariant else (x, POINTS)
     for i in range(1, count):

@@ -72,9 +72,7 @@ def clear_rows(values, first, last):
 def add_response(values, k, s1, s2, by_b, by_a, x):
     """Add to rows VT1, VT2 and PATH what the k-th θ of `_add_sources` does to them, with the axes along σ.
 
-    Args:
-        by_b, by_a: Factors of b and A.
-        x: What ∂F/∂θ does to each row.
+    `by_b` and `by_a` are factors of b and A, x what ∂F/∂θ does to each row.
     """
     cos2, sin2 = s1 * s1 - s2 * s2, 2.0 * s1 * s2
     turns = (s1, s2), (-s2, s1), (-cos2, -sin2), (sin2, -cos2), (-1.0, 0.0)
@@ -88,13 +86,10 @@ def add_response(values, k, s1, s2, by_b, by_a, x):
 
 @always_inlined
 def arrive(values, s1, s2, per, mu, x, y, sources):
-    """Take the sensitivities to the end of a stretch of slip.
+    """Take the sensitivities to the end of a stretch of slip, which starts along σ; `per` is 1/ω.
 
-    Args:
-        s1, s2: σ at its start.
-        per, mu: 1/ω and μ.
-        x, y: What rows VT1, VT2 and PATH become of a change of v_t along σ and across,
-        sources: and of each θ of `_add_sources`.
+    x and y are what rows VT1, VT2 and PATH become of a change of v_t along σ and across, `sources` of each θ
+    of `_add_sources`.
     """
     m11, m12 = x[0] * s1 - y[0] * s2, x[0] * s2 + y[0] * s1
     m21, m22 = x[1] * s1 - y[1] * s2, x[1] * s2 + y[1] * s1

@@ -94,8 +94,7 @@ def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
 def seek_near(series, nodes, counts, aim, x, near):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 
-    Returns:
-        x, or 0 where the iteration goes beyond `near`, or v₃ is not monotone up to x.
+    Returns 0 where the iteration goes beyond `near`, or v₃ is not monotone up to x.
     """
     k0, k1, k2, v3, h = series.j0, series.j1, series.j2, series.v3, series.shape.h
     for _ in range(8):

@@ -131,11 +131,7 @@ def _fill_rates(p, n0, n1, n2, n3, h, values):
 
 @always_inlined
 def _fill_nodes(units, slip, kind, size, root, values):
-    """Fill the rows of scratch that slip's own course gives. (D6)–(D8)
-
-    Returns:
-        at the end t, H, E and the speed.
-    """
+    """Fill the rows of scratch that slip's course gives; return t, H, E and speed at its end. (D6)–(D8)"""
     h = 0.5 * slip.turn
     p, n0, n1, n2, n3 = frame_polynomials(units, slip.s1, slip.s2, slip.turn)
     rate = 0.5 * p.p1
@@ -160,8 +156,7 @@ def _fill_nodes(units, slip, kind, size, root, values):
 def _fill_integrals(values, works, kl, kp):
     """Fill the rows of scratch of P₃, K and, if wanted, V and M; return all four at the end. (D6), (D10)
 
-    Args:
-        kl, kp: κ in the panel's frame.
+    (kl, kp) is κ in the panel's frame.
     """
     for i in range(0, NODES, 4):
         push = product(four(values, DRIFT + i), four(values, SPEED + i))

@@ -196,11 +196,7 @@ def flow(series, x, value):
 
 @always_inlined
 def point(series, x):
-    """Return the state at x. (3.12), (4.5)
-
-    Returns:
-        ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at x = 0, t, dP₃/dx and its logarithmic derivative.
-    """
+    """Return ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at 0, t, dP₃/dx and (ln dP₃/dx)′ at x. (3.12), (4.5)"""
     around_invariant, coefficients, reciprocals, shape, scale, mu, j0, j1, j2, _, _ = series
     h, factor, unit, exponent, start, sign, q1, q2, q3, w0, w1, w2, _, _ = shape
     if around_invariant:

@@ -225,8 +225,7 @@ def locate(stepping, sought, stiff, at, h):
 def choose_step(stepping, at, stride):
     """Try a step of slip.
 
-    Returns:
-        whether it is taken; the next length; whether it is stiff, and ends slip; its length; the `Step`.
+    Returns whether it is taken; the next length; whether it is stiff, and ends slip; its length; the `Step`.
     """
     rtol, mu, scale, lasting = stepping.rtol, stepping.mu, stepping.scale, stepping.lasting
     a11, a12, a22, _, _ = stepping.tangent
@@ -284,8 +283,7 @@ def first_event(stepping, at, stiff, tied, h, step):
 def slip_move(stepping, problem, at, rate, stride):
     """Take a step of slip, up to the first event on it, from where dv₃/dP₃ is the rate.
 
-    Returns:
-        whether it was taken; the length of the next one; the `Move`; where the impact then stands; flags.
+    Returns whether it was taken; the length of the next one; the `Move`; where the impact then stands; flags.
     """
     a11, a12, a22, b1, b2 = stepping.tangent
     rtol, mu = stepping.rtol, stepping.mu

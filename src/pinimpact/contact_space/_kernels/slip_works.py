@@ -50,11 +50,8 @@ def _summed(values, row):
 def _collocated(values, v3, size):
     """Return the normal work and what v₃ grows by. (3.17)
 
-    Four nodes at a time: their sums hide each other's latency, and share instructions.
-
-    Args:
-        values: See WORK_SCRATCH.
-        v3, size: v₃ at the start; the length over the series' unit.
+    Four nodes at a time: their sums hide each other's latency, and share instructions. v₃ is that at the
+    start, the size the length over the series' unit; for values see WORK_SCRATCH.
     """
     for i in range(0, NODES, 4):
         s0 = s1 = s2 = s3 = 0.0
@@ -102,14 +99,9 @@ def _kept(values, i, x, s, u, h, j0, j1, j2):
 
 @inlined
 def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
-    """Do what `works_so_far` does.
+    """Do what `works_so_far` does, with h of the series' `Shape`, j of dv₃/dP₃ (1 + t²) in powers of t.
 
-    Args:
-        coefficients, h: Of the series and its `Shape`.
-        j0, j1, j2: Of dv₃/dP₃ (1 + t²) in powers of t.
-        v3: At the start.
-        unit: Of P₃.
-        values: See WORK_SCRATCH.
+    v₃ is that at the start, the unit that of P₃; for values see WORK_SCRATCH.
     """
     k = len(coefficients) - 1  # even
     z, first = x * x, coefficients[k]

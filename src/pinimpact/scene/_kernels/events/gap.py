@@ -40,13 +40,10 @@ first_closing = search_for_closing(value)
 @declared(SceneWorkspace, int, FLOATS, float, FLOATS)
 @external
 def bound(work, i, constants, reach, out):
-    """Fill the bounds of the motion over the step (4,), see `gap_bounds.curvatures`.
+    """Fill the bounds of the motion of contact i over the step (4,), see `gap_bounds.curvatures`.
 
-    Args:
-        i: A contact.
-        constants: Of it, or of a sphere that bounds it.
-        reach: Zero, or the sphere's radius for the bounds of all tips in it [m].
-        out: Takes the bounds.
+    The constants are its own, or those of a sphere that bounds it; `reach` is zero, or the sphere's radius
+    for the bounds of all tips in it [m].
     """
     set_signs(work, i)
     size, change, speed = contact_motion.bounds(
