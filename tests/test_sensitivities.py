@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import brentq
 
 import pinimpact
 from pinimpact import (
@@ -28,6 +29,7 @@ from pinimpact import (
 from pinimpact.geometry._kernels.constants import KIND
 
 from .robot_cases import FRAMES, load
+from .scene_models import unbounded
 
 EXACT = {"rtol": 1e-12, "atol": 1e-14, "scheme": "event-driven"}
 FREE = {"without": ("joint limits",)}
@@ -830,3 +832,40 @@ def test_two_joints_that_come_to_rest_together_beside_a_sliding_contact():
     low, high = (np.concatenate([one.q[-1], one.v[-1]]) for one in (after(0.5 - h), after(0.5 + h)))
     found = run.sensitivity(0.0252).state[:, 3:] @ fold
     np.testing.assert_allclose(found, (high - low) / (2.0 * h), rtol=0, atol=1e-5)
+
+
+def leg_at_rest(first, second, height):
+    """A slider that carries a leg of two hinges with dry friction, whose foot slides on a plane."""
+    model, joint = pin.Model(), 0
+    for k, kind in enumerate((pin.JointModelPX, pin.JointModelRY, pin.JointModelRY)):
+        place = pin.SE3(np.eye(3), np.array([1.0 * (k == 2), 0.0, 0.0]))
+        joint = model.addJoint(joint, kind(), place, f"joint {k}")
+        lever = np.array([0.5 * (k > 0), 0.0, 0.0])
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, lever, 0.1 * np.eye(3)), pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("foot", joint, 0, tip, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction[:] = 0.0, 8.0, 8.0
+    return Scene(model, Contact("foot", Plane(point=(0.0, 0.0, -height)), friction=0.3))
+
+
+def test_how_forces_are_shared_changes_with_the_posture():
+    """Dry friction of two hinges and a foot that slides share a load; what the foot bears brakes."""
+    first, second, duration = -0.5, 1.3, 0.2
+    height = np.sin(first) + np.sin(first + second)
+    scene, v = leg_at_rest(first, second, height), np.array([3.0, 0.0, 0.0])
+
+    def end(x, **options):
+        def gap(y):
+            return np.sin(first + x) + np.sin(first + x + y) - height
+
+        q = np.array([0.0, first + x, brentq(gap, second - 0.1, second + 0.1, xtol=1e-15)])
+        return simulate(scene, q, v, duration, rtol=1e-11, atol=1e-13, scheme="event-driven", **options)
+
+    h = 1e-4
+    ahead, behind = end(h), end(-h)
+    expected = np.concatenate([ahead.q[-1] - behind.q[-1], ahead.v[-1] - behind.v[-1]]) / (2.0 * h)
+    slope = -(np.cos(first) + np.cos(first + second)) / np.cos(first + second)
+    found = end(0.0, sensitivities="state").sensitivity(duration)
+    np.testing.assert_allclose(found.state @ [0.0, 1.0, slope, 0.0, 0.0, 0.0], expected, atol=1e-7)
+    assert abs(expected[3]) > 1e-3

@@ -243,13 +243,13 @@ class MotionSlopes:
         matrix, right, vanishing, start, moved = stage_equations(
             *(h, *rule[:3], turned, self.force, *slopes, x)
         )
-        n, m = x.shape[1], len(vanishing)
+        n, below = x.shape[1], len(vanishing)
         right[..., :n] += nodes.by_state[:, :nv] @ start
         rates = np.linalg.solve(matrix, right.reshape(len(matrix), -1))
-        if m > 0:
-            stopped = vanishing @ rates
-            stopped[:, :n] += (nodes.by_state[:, nv:] @ start).reshape(m, n)
-            forces = _forces_that_stop(stopped[:, n:], stopped[:, :n], nodes)
+        if below > 0:
+            rows = vanishing @ rates
+            rows[:, :n] += (nodes.by_state[:, nv:] @ start).reshape(below, n)
+            forces = _forces_that_stop(rows.reshape(len(start), -1, rows.shape[1]), n, nodes)
             rates = rates[:, :n] - rates[:, n:] @ forces
         return changes_at_end(
             *(h, *rule[1:], turned, len(x), self._given), *(nodes.inverse, start, moved, rates)
@@ -261,24 +261,30 @@ def _shortest(step: DenseStep) -> float:
     return max(LEAST_INTERVAL * (step.end - step.start), 2.0 * math.ulp(step.end))
 
 
-def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> Array:
-    """Return the forces of what is closed that stop its velocities, those of equally stiff contacts. (11.12)
+def _forces_that_stop(rows: Array, n: int, nodes: SlopesWithin) -> Array:
+    """Return the forces of what is closed that stop its velocities, those of equally stiff contacts. (D23)
 
-    The matrix (s m, s m) has the velocities (s m, n) by the forces; columns with NaN stay so.
+    The rows (s, m or 2 m, n + s m) are these velocities, and changes of what forces share, in n columns, and
+    the same by the forces. Columns with NaN stay so.
     """
+    stages, nv, m = nodes.response.shape
+    size, columns = stages * m, rows.shape[2]
+    matrix, velocities = np.split(rows[:, :m].reshape(size, columns), [n], axis=1)[::-1]
     moved = matrix.diagonal()
     if nodes.unique and moved.min() > ROUNDOFF * moved.max():
         return np.asarray(np.linalg.solve(matrix, velocities))
-    (stages, nv, m), size = nodes.response.shape, len(matrix)
-    shares = np.zeros((stages, m, stages, m))
+    shares = np.zeros((stages, m, columns))
     for i in range(stages):
-        left, sizes, _ = np.linalg.svd(nodes.by_state[i, nv:, nv:] @ nodes.response[i])
+        left, sizes, _ = np.linalg.svd(nodes.by_state[i, nv : nv + m, nv:] @ nodes.response[i])
         null = left[:, sizes <= RANK * sizes[0]]
-        shares[i, :, i] = moved.max() * null @ null.T
+        onto = moved.max() * null @ null.T
+        if rows.shape[1] > m:
+            shares[i] = -onto @ rows[i, m:]
+        shares[i, :, n + i * m : n + (i + 1) * m] += onto
     known = np.isfinite(velocities).all(axis=0)
-    found, right = np.full_like(velocities, np.nan), np.zeros((2 * size, int(known.sum())))
-    right[:size] = velocities[:, known]
-    matrix = np.concatenate([matrix, shares.reshape(size, size)])
+    shared = shares.reshape(size, columns)
+    found, right = np.full_like(velocities, np.nan), np.vstack([velocities, shared[:, :n]])[:, known]
+    matrix = np.vstack([matrix, shared[:, n:]])
     found[:, known] = np.linalg.lstsq(matrix, right, rcond=RANK)[0]
     return found
 

@@ -6,8 +6,10 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign
 from ..._numeric.products import dot
+from ..._numeric.tolerances import RANK
 from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
@@ -78,7 +80,8 @@ def slopes_along(
         inside: Whether v̇ is differentiated: not at an end of a step, where slip may have no speed.
 
     Returns:
-        ∂v̇/∂(q, v) (s, nv + m, 2 nv), followed by the rows of the m velocities that vanish; v̇ by their forces
+        ∂v̇/∂(q, v) (s, nv + m, 2 nv), followed by the rows of the m velocities that vanish, and inside, unless
+        forces are unique, by the m of what these share; v̇ by their forces
         (s, nv, m); M⁻¹ (s, nv, nv); v̇ by friction (s, nv, n); N of the joints that turn (s, k, k); and
         ∂(contact velocity)/∂q (k, 3, nv) at the last time.
     """
@@ -91,7 +94,8 @@ def slopes_along(
     q, v, forces = np.empty(len(q0)), np.empty(nv), np.empty((nv, nv))
     scratch, axes = np.empty((len(parent), 6)), np.empty((len(index), 3, 3))
     moved = np.empty((len(index), 3, nv))
-    by_state = np.zeros((stages, nv + rows, 2 * nv))
+    shares = rows if inside and not unique else 0
+    by_state = np.zeros((stages, nv + rows + shares, 2 * nv))
     response, inverse = np.zeros((stages, nv, rows)), np.empty((stages, nv, nv))
     turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
     for i in range(stages):
@@ -109,6 +113,8 @@ def slopes_along(
             _fill_friction(work, friction, inverse[i], by_friction[i])
             _add_product(inverse[i], forces, by_state[i])
             _fill_turning(work, v, turning[i])
+            if shares > 0:
+                _fill_shares(work, parent, scratch, by_state[i])
         if work.callback_failed:
             break
     return by_state, response, inverse, by_friction, turning, moved
@@ -225,6 +231,36 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
             for i in range(nv):
                 response[i, row - nv] = metres * inverse[i, j]
         row += 1
+
+
+@inlined
+def _fill_shares(work, parent, scratch, by_state):
+    """Fill the last rows, ∂(J w)/∂q where the forces are λ = J w, J the rows of the velocities. (D23)"""
+    nv, m, index = work.nv, work.active_rows, work.active_index
+    columns, joint = work.joint_jacobian, work.velocity_joint
+    gram, weights, w = np.empty((m, m)), np.empty(m), np.zeros(nv)
+    for a in range(m):
+        for b in range(m):
+            gram[a, b] = dot(by_state[nv + a, nv:], by_state[nv + b, nv:])
+    least_norm(gram, work.solution, RANK, weights, np.empty((0, m)))
+    for a in range(m):
+        for j in range(nv):
+            w[j] += weights[a] * by_state[nv + a, nv + j]
+    slopes.fill_motions(columns, joint, parent, w, scratch)
+    at, shifts, changes = np.empty(slopes.PLACE), np.empty((nv, slopes.SHIFT)), np.empty((3, nv))
+    axes, points, row = np.empty((len(index), 3, 3)), np.empty((len(index), 3)), nv + m
+    places_of_contacts(work, index, axes, points)
+    for k in range(len(index)):
+        i = index[k]
+        tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
+        slopes.fill_place(
+            *(work.placements[tip], work.placements[base], work.contact_constants[i], axes[k].reshape(9)),
+            *(True, columns, joint, parent, tip, base, at, shifts),
+        )
+        slopes.velocity_slopes(columns, joint, parent, tip, base, at, shifts, scratch, False, changes)
+        for d in range(2 if work.active_mode[k] == SLIP else 0, 3):
+            assign(by_state[row, :nv], changes[d])
+            row += 1
 
 
 @inlined

@@ -35,12 +35,12 @@ def stage_equations(
 
     Returns:
         The matrix of the rates (s nv, s nv); their right-hand sides without those of the state, and for each
-        force of what is closed (s, nv, n + s m); the velocities that vanish by the rates (s m, s nv); the
+        force of what is closed (s, nv, n + s m); the rows below v̇ by the rates (s (m or 2 m), s nv); the
         changes at the stages without rates (s, 2 nv, n); and what rates add to δq where joints turn
         (s, k, s, k).
     """
     stages, rows, nv = by_state.shape[0], by_state.shape[1], len(x) // 2
-    m, n, first = rows - nv, x.shape[1], x.shape[1] - by_friction.shape[2]
+    m, n, first = response.shape[2], x.shape[1], x.shape[1] - by_friction.shape[2]
     start, right = np.empty((stages, 2 * nv, n)), np.zeros((stages, nv, n + stages * m))
     for i in range(stages):
         for r in range(nv):
@@ -60,7 +60,8 @@ def stage_equations(
     straight = ones(nv)
     for k in turned:
         straight[k] = 0.0
-    matrix, vanishing = np.empty((stages * nv, stages * nv)), np.empty((stages * m, stages * nv))
+    below = rows - nv
+    matrix, vanishing = np.empty((stages * nv, stages * nv)), np.empty((stages * below, stages * nv))
     line = np.empty(nv)
     for i in range(stages):
         for r in range(rows):
@@ -76,7 +77,7 @@ def stage_equations(
                         matrix[i * nv + r, j * nv + k] = -line[k]
                 else:
                     for k in range(nv):
-                        vanishing[i * m + r - nv, j * nv + k] = line[k]
+                        vanishing[i * below + r - nv, j * nv + k] = line[k]
     for k in range(stages * nv):
         matrix[k, k] += 1.0
     return matrix, right, vanishing, start, moved
