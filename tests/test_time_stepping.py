@@ -645,3 +645,15 @@ def test_impacts_are_as_accurate_as_the_steps_that_they_interrupt(tmp_path):
         assert length == pytest.approx(np.linalg.norm(impact.impulse_world), rel=1e-9, abs=1e-12)
         np.testing.assert_array_equal(loaded.group[0].solution.velocity, group.solution.velocity)
     assert coarse > 3
+
+
+def test_dry_friction_takes_from_a_hinge_what_its_moment_does():
+    """Its rows are in metres, and a hinge turns in radians: the ledger counts N m times rad."""
+    moment, model = 0.3, pendulum(mass=2.0, length=0.4)
+    model.gravity.linear[:] = 0.0
+    model.friction[:] = moment
+    motion = step(Scene(model), np.array([0.2]), np.array([3.0]), 0.1, 1e-3)
+    turned = motion.q[:, 0] - 0.2
+    np.testing.assert_allclose(motion.energy.joints, -moment * turned, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(motion.energy.residual, 0.0, atol=1e-12)
+    assert motion.v[-1, 0] > 0.0

@@ -39,7 +39,7 @@ def scalar_modes(work, still, rows, found, dried):
     first = 3 * (len(rows.contacts) + len(rows.held))
     for k in range(len(dry)):
         row = first + len(limits) + k
-        dried[dry[k]] = impulse[row]
+        dried[dry[k]] = rows.values[row, 0] * impulse[row]
         modes[work.contacts + work.limits + dry[k]] = 1 if abs(found.u_end[row]) <= still else 0
     for k in range(len(limits)):
         modes[work.contacts + limits[k]] = 1 if impulse[first + k] > 0.0 else 0
