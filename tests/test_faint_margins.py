@@ -237,8 +237,12 @@ def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duratio
     assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 def test_a_stop_that_opens_leaves_the_slip_that_begins_with_it():
-    """Of shared loads the last that fits is at two bounds: a stop lets go as a contact begins to slip."""
+    """Of shared loads the last that fits is at two bounds: a stop lets go as a contact begins to slip.
+
+    Time steps cross that instant: the stop, which does not press, would be left and taken again for ever.
+    """
     _, scene, q, v, rtol = random_scenes.draw(201000584)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     x, y, normal = trajectory.forces("panda_link6 on plane", np.linspace(0.7785, 0.78, 50)).T
