@@ -58,6 +58,11 @@ def coefficient_change(n: int, **of: int) -> Change:
     return Change(np.zeros((n, 3)), np.zeros((3 * n, 3 * n)), **numbers)
 
 
+def coefficient_changes(n: int) -> list[Change]:
+    """Return the changes of μ of each of n contacts, then of e."""
+    return [coefficient_change(n, **{name: k}) for name in ("friction", "restitution") for k in range(n)]
+
+
 class Slopes(NamedTuple):
     """How the impulses of an impact change along directions.
 
@@ -89,7 +94,7 @@ class _Slope(NamedTuple):
     jumps: bool
 
 
-def derivatives_at_many(
+def derivatives_of_many(
     inputs: ManyInputs, policy: str, options: Mapping[str, Any], solution: ManySolution, side: int | None
 ) -> Derivatives:
     """Return the derivatives of an impact at n contacts by v°, the entries of W, μ and e."""
@@ -101,8 +106,7 @@ def derivatives_at_many(
         entry = np.zeros((m, m))
         entry[i, j] = entry[j, i] = 1.0 if i == j else 0.5
         changes.append(nothing._replace(delassus=entry))
-    changes += [coefficient_change(n, friction=k) for k in range(n)]
-    changes += [coefficient_change(n, restitution=k) for k in range(n)]
+    changes += coefficient_changes(n)
     found = slopes_along(inputs, policy, solution, changes, side, options)
     impulse, end = solution.impulse.ravel(), m + len(first)
     moved = inputs.delassus @ found.impulse

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from .derivatives import check_derivatives, derivatives_of
-from .many_derivatives import derivatives_at_many
+from .many_derivatives import derivatives_of_many
 from .many_inputs import many_inputs
 from .many_solution import ManySolution
 from .one_contact import solve_inputs
@@ -92,7 +92,7 @@ def solve_impact(
         solved = solve_many(problem, policy, record, **options)
         if not derivatives:
             return solved
-        found = derivatives_at_many(many_inputs(problem), policy, options, solved, side)
+        found = derivatives_of_many(many_inputs(problem), policy, options, solved, side)
         return replace(solved, derivatives=found)
     if method != "exact":
         check_derivatives(derivatives, method)

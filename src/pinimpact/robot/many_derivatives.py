@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array, Bools
 from ..checks import finite_array
 from ..contact_space.derivatives import Boundary
-from ..contact_space.many_derivatives import Change, Slopes, coefficient_change, slopes_along
+from ..contact_space.many_derivatives import Change, Slopes, coefficient_changes, slopes_along
 from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
 from ..geometry._kernels.constants import TIP_PLANE
@@ -265,8 +265,7 @@ def derivatives_at_many(
     changes = state_changes(of_matrices.velocity(v), of_matrices.delassus, bends)
     nv, n = matrices.response.shape[0], len(contacts)
     changes += state_changes(matrices.jacobian, np.zeros((nv, 3 * n, 3 * n)), bends)
-    changes += [coefficient_change(n, friction=k) for k in range(n)]
-    changes += [coefficient_change(n, restitution=k) for k in range(n)]
+    changes += coefficient_changes(n)
     found = slopes_along(inputs, simultaneous, solution, changes, side)
     return _assembled(of_matrices, v, solution.impulse.ravel(), found)
 

@@ -52,14 +52,13 @@ class Alternating(TimeStepping):
         self._longest = min(dt, self.time_scale / STEPS_PER_SCALE)
         if state.coarse == 0.0:
             state.coarse = dt
-        self._dt = state.coarse
         self._set_crossing(state.crossing)
         if state.crossing:
             self._prepare_steps()
 
     def _set_crossing(self, crossing: bool) -> None:
         """Let time steps be taken from now on, or not."""
-        self.state.crossing = crossing
+        self.state.crossing, self._dt = crossing, self.state.coarse
         self.instant.crowds_refused = not crossing
 
     def begin(self, tau: Array | None = None) -> None:
@@ -175,7 +174,7 @@ class Alternating(TimeStepping):
         if not (state.stepped and state.stepped[-1].end == state.t):
             state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(refusal), 0.0),)
         self._set_crossing(True)
-        state.entering, self._dt = True, state.coarse
+        state.entering = True
         state.islands = state.resting_forces = state.warm_start = None
         self.shapes.clear()
         self._prepare_steps()

@@ -269,7 +269,7 @@ def _forces_that_stop(rows: Array, n: int, nodes: SlopesWithin) -> Array:
     """
     stages, nv, m = nodes.response.shape
     size, columns = stages * m, rows.shape[2]
-    matrix, velocities = np.split(rows[:, :m].reshape(size, columns), [n], axis=1)[::-1]
+    velocities, matrix = np.split(rows[:, :m].reshape(size, columns), [n], axis=1)
     moved = matrix.diagonal()
     if nodes.unique and moved.min() > ROUNDOFF * moved.max():
         return np.asarray(np.linalg.solve(matrix, velocities))

@@ -42,15 +42,21 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
     forces[:, :] = 0.0
     slopes.fill_motions(columns, joint, parent, work.v, scratch)
     for m in range(len(index)):
-        i = index[m]
-        tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
-        slopes.fill_place(
-            *(work.placements[tip], work.placements[base], work.contact_constants[i], axes[m].reshape(9)),
-            *(True, columns, joint, parent, tip, base, at, shifts),
-        )
+        tip, base = _fill_place(work, parent, index[m], axes[m], at, shifts)
         slopes.velocity_slopes(columns, joint, parent, tip, base, at, shifts, scratch, True, velocities[m])
         f1, f2, f3 = rotate(at, force[m, 0], force[m, 1], force[m, 2])
         slopes.force_slopes(columns, joint, parent, at, shifts, f1, f2, f3, forces)
+
+
+@inlined
+def _fill_place(work, parent, i, axes, at, shifts):
+    """Fill the place of contact i, with axes (3, 3), and its shifts; return the joints of tip and surface."""
+    tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
+    slopes.fill_place(
+        *(work.placements[tip], work.placements[base], work.contact_constants[i], axes.reshape(9)),
+        *(True, work.joint_jacobian, work.velocity_joint, parent, tip, base, at, shifts),
+    )
+    return tip, base
 
 
 @declared(
@@ -251,12 +257,7 @@ def _fill_shares(work, parent, scratch, by_state):
     axes, points, row = np.empty((len(index), 3, 3)), np.empty((len(index), 3)), nv + m
     places_of_contacts(work, index, axes, points)
     for k in range(len(index)):
-        i = index[k]
-        tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
-        slopes.fill_place(
-            *(work.placements[tip], work.placements[base], work.contact_constants[i], axes[k].reshape(9)),
-            *(True, columns, joint, parent, tip, base, at, shifts),
-        )
+        tip, base = _fill_place(work, parent, index[k], axes[k], at, shifts)
         slopes.velocity_slopes(columns, joint, parent, tip, base, at, shifts, scratch, False, changes)
         for d in range(2 if work.active_mode[k] == SLIP else 0, 3):
             assign(by_state[row, :nv], changes[d])
