@@ -288,6 +288,80 @@ def test_saltation_at_an_impact_that_stays_closed():
     assert np.allclose(found @ before, run.sensitivity(record.time).state, atol=1e-8)
 
 
+def held_at(offset, tip):
+    """Return a box whose point is held at the origin, the same box on a ball joint, and J of the box (6, 3).
+
+    Both have a frame at the tip, and states (q, v) follow from (R, ω) of the box.
+    """
+    inertia, robots = pin.Inertia.FromBox(1.3, 0.6, 0.3, 0.2), []
+    for kind, place in ((pin.JointModelFreeFlyer(), 0.0 * offset), (pin.JointModelSpherical(), -offset)):
+        model, place = pin.Model(), pin.SE3(np.eye(3), place)
+        joint = model.addJoint(0, kind, pin.SE3.Identity(), "box")
+        model.appendBodyToJoint(joint, inertia, place)
+        for name, where in (("tip", tip), ("hinge", offset)):
+            there = place * pin.SE3(np.eye(3), where)
+            model.addFrame(pin.Frame(name, joint, there, pin.FrameType.OP_FRAME))
+        unbounded(model)
+        robots.append(model)
+    return *robots, np.vstack([pin.skew(offset), np.eye(3)])
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+@pytest.mark.parametrize("at_impact", [False, True])
+def test_a_held_point_is_a_ball_joint(restitution, at_impact):
+    offset, tip = np.array([0.3, 0.1, 0.05]), np.array([-0.4, 0.1, -0.1])
+    box, ball, moves = held_at(offset, tip)
+    turned, rate = pin.exp3(np.array([0.1, -0.2, 0.3])), np.array([0.4, -1.5, 0.3])
+    lowest = turned @ (tip - offset)
+    floor = Plane(point=tuple(lowest - [0.0, 0.0, 0.0 if at_impact else 0.02]), normal=(0.1, 0.05, 1.0))
+    hand = Contact("tip", floor, friction=0.3, restitution=restitution, name="tip")
+    quaternion = pin.Quaternion(turned).coeffs()
+    free = Scene(box, hand, held=Contact("hinge", Plane(), name="hinge"))
+    start = np.append(-turned @ offset, quaternion), moves @ rate
+    hinged, duration = Scene(ball, hand), 0.05
+    runs = [
+        simulate(*one, duration, **EXACT, sensitivities=["state", "friction:tip"])
+        for one in ((free, *start), (hinged, quaternion, rate))
+    ]
+    by_box, by_ball = (run.sensitivity(duration) for run in runs)
+    both = np.kron(np.eye(2), moves)
+    assert np.abs(by_box.state @ both - both @ by_ball.state).max() < 1e-8
+    difference = by_box.parameters["friction:tip"] - both @ by_ball.parameters["friction:tip"]
+    assert np.abs(difference).max() < 1e-8
+    found, expected = (
+        pinimpact.saltation_matrix(scene, "tip", run.impacts[0].q, run.impacts[0].v_before)
+        for scene, run in zip((free, hinged), runs, strict=True)
+    )
+    assert np.abs(found @ both - both @ expected).max() < 1e-8 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("law", pinimpact.LAWS)
+@pytest.mark.parametrize("sliding", [0.1, 0.2, 0.3])
+def test_by_a_restitution_of_zero_derivatives_are_those_of_small_bounces(law, sliding):
+    # μ v (1 + e)/(1 − e) of the impacts and μ_s (g t − 2ev/(1 − e)) meanwhile take the speed of sliding
+    block = Contact("block centre", Plane(), 0.2, law=law, sliding_friction=sliding, name="block")
+    names = ["state", "restitution:block"]
+    run = simulate(Scene(point("block"), block), np.zeros(3), [1.2, 0.9, -1.0], 0.2, sensitivities=names)
+    found = run.sensitivity(0.2)
+    slower = 2.0 * (sliding - 0.2) * np.array([0.8, 0.6, 0.0])
+    assert np.allclose(found.parameters["restitution:block"], [*(0.2 * slower), *slower], atol=1e-12)
+    alone = simulate(Scene(point("block"), block), np.zeros(3), [1.2, 0.9, -1.0], 0.2, sensitivities="state")
+    assert np.array_equal(found.state, alone.sensitivity(0.2).state)
+    assert found.boundary == Boundary.BOUND
+
+
+def test_a_stop_at_e_of_zero_before_it_slides_on_has_no_derivative_by_e():
+    block = Contact("block centre", Plane(normal=(0.5, 0.0, 1.0)), 0.9, sliding_friction=0.2, name="block")
+    names = ["state", "restitution:block"]
+    run = simulate(Scene(point("block"), block), np.zeros(3), [0.0, 0.0, -1.0], 0.1, sensitivities=names)
+    assert run.impacts[0].solution.segments[-1].mode == "stick"
+    assert modes(run) == {("block", "slip")}
+    found = run.sensitivity(0.1)
+    assert np.isfinite(found.state).all()
+    assert np.isnan(found.parameters["restitution:block"]).all()
+    assert found.boundary & Boundary.EVENTS_COINCIDE
+
+
 def test_drives_that_saturate_and_a_belt():
     model, q, v, contact = panda(2)
     belt = replace(contact.plane, velocity=tuple(np.cross(contact.plane.normal, (0.0, 0.5, 0.0))))

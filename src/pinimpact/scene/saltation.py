@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..arrays import Array, Integers
+from ..arrays import Array, Bools, Integers
 from ..checks import finite_array, in_short
 from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
@@ -73,18 +73,25 @@ class Saltation:
         if self._called(events):
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         if impacts:
-            return self.cross(x, self.before(impacts[0], first.closed), first, impacts)
+            before = self.before(impacts[0], first.closed)
+            if before.closed is not None:
+                x = self._admitted(x, self.slopes.at(before, before.end))
+            return self.cross(x, before, first, impacts)
         if first.closed is None:
             return x
         after = self.slopes.at(first, first.start)
         self._flag_rest(x, first, first.closed, after)
-        if len(after.rows) == 0:
+        return self._admitted(x, after)
+
+    def _admitted(self, x: Array, mode: ModeSlopes) -> Array:
+        """Return changes at a start, projected on those that what is closed there admits."""
+        if len(mode.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
         nv, gaps = len(x) // 2, self._gaps()
         place = np.zeros((len(gaps), 2 * nv))
-        place[:, :nv] = after.rows[gaps, nv:]
-        return _onto(after, stop(place, after.inverse @ place[:, :nv].T, 0, x))
+        place[:, :nv] = mode.rows[gaps, nv:]
+        return _onto(mode, stop(place, mode.inverse @ place[:, :nv].T, 0, x))
 
     def _flag_rest(self, x: Array, first: DenseStep, closed: ClosedSet, after: ModeSlopes) -> None:
         """Flag changes at a start that move what begins to slide there: derivatives are those of its side."""
@@ -214,12 +221,21 @@ class Saltation:
         return np.asarray(step.closed.modes)
 
     def _checked(self, plus: ModeSlopes, x: Array) -> Array:
-        """Return changes without what rounding leaves of the velocities that vanish; undefined if more."""
+        """Return changes without what rounding leaves of the velocities that vanish; undefined if more.
+
+        Those of the state are undefined together, those by parameters each by itself.
+        """
+        if len(plus.rows) == 0:
+            return x
         missed, size = plus.rows @ x, np.abs(plus.rows) @ np.abs(x)
-        known = np.isfinite(x).all(axis=0)
-        if (np.abs(missed) > REMAINS * (size + 1.0))[:, known].any():
+        exceeds: Bools = np.any(np.abs(missed) > REMAINS * (size + 1.0), axis=0)
+        missing = np.flatnonzero(exceeds & np.isfinite(x).all(axis=0))
+        if (missing < x.shape[1] - len(self.parameters)).any():
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
-        return _onto(plus, x) if len(missed) else x
+        x = _onto(plus, x)
+        if len(missing) > 0:
+            x[:, missing] = self._undefined(x[:, missing], Boundary.EVENTS_COINCIDE)
+        return x
 
     def _undefined(self, x: Array, flag: Boundary) -> Array:
         self.boundary |= flag
@@ -268,7 +284,28 @@ class Saltation:
         removed = impacts[-1].v_after - rates[1][:nv]
         if np.abs(removed).max(initial=0.0) > 10.0 * error:
             result = self._without(result, removed, impacts[0].q, plus)
-        return np.asarray(result - rates[1][:, None] * shifts)
+        result -= rates[1][:, None] * shifts
+        return self._bounced(result, jumps, modes[1], plus)
+
+    def _bounced(
+        self, x: Array, jumps: Sequence[SingleJump | GroupJump], later: Integers, plus: ModeSlopes
+    ) -> Array:
+        """Return changes with those by e, at e = 0, of contacts that stay closed. (D39)
+
+        Each rebounds at e times its approach, lands with the same impulse again, and its force is missing
+        meanwhile; further bounces are of second order. One that the impact has stopped and that slides on
+        may land otherwise, and is not followed.
+        """
+        nv, first = len(x) // 2, x.shape[1] - len(self.parameters)
+        alone = {jump.number: jump for jump in jumps if isinstance(jump, SingleJump)}
+        for column, one in enumerate(self.parameters, first):
+            if one.kind != "restitution" or one.contact not in alone:
+                continue
+            jump, mode = alone[one.contact], int(later[one.contact])
+            if mode == STICK or (mode == SLIP and jump.record.solution.segments[-1].mode == "slip"):
+                x[nv:, column] += jump.by["restitution"]
+                x[:, [column]] = _onto(plus, x[:, [column]])
+        return x
 
     def strike(
         self,
@@ -387,6 +424,7 @@ def saltation_matrix(
 
     Returns:
         Ξ (2nv, 2nv) of changes (δq, δv), with δq in the tangent space; columns that do not exist are NaN.
+        Of a change that held contacts do not admit, the part that they admit counts.
 
     Raises:
         InputError: As in `simulate` and `impact_derivatives`; nothing collides, or something else.
@@ -407,5 +445,4 @@ def saltation_matrix(
     after = saltation.before(impacts[0], None)
     after.v, after.closed = integrator.state.v, ClosedSet.of(work, np.zeros(0, dtype=np.int64))
     after.directions = np.array([work.start_directions, work.start_directions])
-    before = saltation.before(impacts[0], after.closed)
-    return saltation.cross(np.eye(2 * len(after.v)), before, after, impacts)
+    return saltation.start(np.eye(2 * len(after.v)), after, impacts)
