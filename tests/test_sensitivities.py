@@ -288,6 +288,22 @@ def test_saltation_at_an_impact_that_stays_closed():
     assert np.allclose(found @ before, run.sensitivity(record.time).state, atol=1e-8)
 
 
+def test_saltation_is_refused_where_something_else_is_closed():
+    # the stop bears the joint until the hand lifts it off, so that v̇ before the impact is that with the stop
+    model, q, v, contact = panda(0)
+    unbounded(model)
+    model.lowerPositionLimit[3] = q[3] - 0.05
+    scene = Scene(model, [contact])
+    run = simulate(scene, q, v, 0.12, **EXACT, sensitivities="state")
+    assert [record.source for record in run.impacts] == ["panda_joint4 lower", "hand"]
+    record = run.impacts[1]
+    with pytest.raises(pinimpact.InputError, match="'panda_joint4 lower' is closed"):
+        pinimpact.saltation_matrix(scene, "hand", record.q, record.v_before)
+    towards = np.random.default_rng(0).normal(size=18)
+    expected = slope(scene, q, v, 0.12, towards)
+    assert np.linalg.norm(run.sensitivity(0.12).state @ towards - expected) < 1e-8 * np.linalg.norm(expected)
+
+
 def held_at(offset, tip):
     """Return a box whose point is held at the origin, the same box on a ball joint, and J of the box (6, 3).
 
@@ -756,6 +772,9 @@ def test_what_has_no_derivative_is_refused():
         pinimpact.saltation_matrix(scene, "foot", q, v)
     with pytest.raises(pinimpact.InputError, match="nothing collides"):
         pinimpact.saltation_matrix(scene, "hand", q, v)
+    sampled = replace(scene, control=lambda t, q, v: np.zeros(9), period=0.01)
+    with pytest.raises(pinimpact.InputError, match="sampled"):
+        pinimpact.saltation_matrix(sampled, "hand", q, v)
 
 
 def test_contacts_that_close_at_one_instant_have_no_derivative():

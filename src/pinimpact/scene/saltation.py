@@ -427,10 +427,17 @@ def saltation_matrix(
         Of a change that held contacts do not admit, the part that they admit counts.
 
     Raises:
-        InputError: As in `simulate` and `impact_derivatives`; nothing collides, or something else.
+        InputError: As in `simulate` and `impact_derivatives`; nothing collides, or something else; another
+            contact or a joint limit is closed; a sampled control.
         UnknownNameError: A contact that the scene does not have.
     """
     name = contact.label if isinstance(contact, Contact) else contact
+    if scene.period is not None and scene.control is not None and "control" not in scene.without:
+        raise InputError(
+            "period: the force of a sampled control at an impact is that of a state before, which is not known; "
+            "use simulate(..., sensitivities=)",
+            value=scene.period,
+        )
     integrator = Integrator(scene, q, v, Options(max_impacts=1))
     saltation = Saltation(scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv))
     if name not in [one.label for one in scene.contacts]:
@@ -441,7 +448,14 @@ def saltation_matrix(
     if [record.source for record in impacts] != [name]:
         struck = ", ".join(repr(record.source) for record in impacts) or "nothing"
         raise InputError(f"contact: {struck} collides in this state instead of {name!r} alone", value=name)
-    work = integrator.work
+    work, instant = integrator.work, integrator.instant
+    rates = instant.approach(impacts[0].q, impacts[0].v_before, work.touching_gap)
+    for other, rate in zip(instant.names, rates.tolist(), strict=True):
+        if rate <= work.resting_speed and other != name:
+            raise InputError(
+                f"contact: {other!r} is closed as {name!r} collides; use simulate(..., sensitivities=)",
+                value=name,
+            )
     after = saltation.before(impacts[0], None)
     after.v, after.closed = integrator.state.v, ClosedSet.of(work, np.zeros(0, dtype=np.int64))
     after.directions = np.array([work.start_directions, work.start_directions])
