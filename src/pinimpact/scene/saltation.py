@@ -434,8 +434,8 @@ def saltation_matrix(
     name = contact.label if isinstance(contact, Contact) else contact
     if scene.period is not None and scene.control is not None and "control" not in scene.without:
         raise InputError(
-            "period: the force of a sampled control at an impact is that of a state before, which is not known; "
-            "use simulate(..., sensitivities=)",
+            "period: the force of a sampled control at an impact is that of a state before, which is not "
+            "known; use simulate(..., sensitivities=)",
             value=scene.period,
         )
     integrator = Integrator(scene, q, v, Options(max_impacts=1))
