@@ -304,6 +304,25 @@ def test_saltation_is_refused_where_something_else_is_closed():
     assert np.linalg.norm(run.sensitivity(0.12).state @ towards - expected) < 1e-8 * np.linalg.norm(expected)
 
 
+def test_a_box_that_slides_with_a_corner_that_would_pull():
+    # four corners share the load in several ways, and the friction is another in each; one of them bears none
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.3), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    corners = [Contact("box", Plane(), 0.5, offset=(x, y, -0.15)) for x in (-0.1, 0.1) for y in (-0.1, 0.1)]
+    unbounded(model)
+    scene = Scene(model, corners)
+    q, v = np.array([0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.7, 0.0, 0.0, 0.0, 3.0])
+    run = simulate(scene, q, v, 0.05, **EXACT, sensitivities="state")
+    normal = np.array([run.forces(contact.label, 0.05)[2] for contact in scene.contacts])
+    assert normal.min() == 0.0 < np.sort(normal)[1]
+    towards = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.7, 0.3, -0.4, 0.0, 0.0, 0.0, 1.0])
+    expected = slope(scene, q, v, 0.05, towards)
+    moved = run.sensitivity(0.05).state @ towards
+    assert np.linalg.norm(moved - expected) < 1e-7 * np.linalg.norm(expected)
+
+
 def held_at(offset, tip):
     """Return a box whose point is held at the origin, the same box on a ball joint, and J of the box (6, 3).
 

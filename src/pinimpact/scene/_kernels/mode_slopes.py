@@ -14,7 +14,7 @@ from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
 from .active_set import close
-from .contact_forces import FREE, SLIP
+from .contact_forces import FREE, HELD, SLIP, rubs
 from .dense_output import state
 from .drives import set_saturation
 from .dynamics import invert_mass_matrix
@@ -199,9 +199,12 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
     It changes `forces`, ∂(Jᵀf)/∂q, and ∂v̇/∂v.
     """
     jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
-    row, nv = work.nv, work.nv
+    row, nv, shared = work.nv, work.nv, moving and not work.forces_unique and rubs(work)
     push, turn = np.empty(nv), np.empty(nv)
     for k in range(len(force)):
+        if shared and _without_load(work, k, row - nv):
+            row += 1 if work.active_mode[k] == SLIP else 3
+            continue
         if work.active_mode[k] != SLIP:
             for d in range(3):
                 assign(by_state[row, :nv], moved[k, d])
@@ -240,6 +243,13 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
 
 
 @inlined
+def _without_load(work, k, row):
+    """Whether a contact, whose force begins at a row, has none since it would pull: others bear the load."""
+    last = row if work.active_mode[k] == SLIP else row + 2
+    return work.active_mode[k] != HELD and work.solution[last] == 0.0
+
+
+@inlined
 def _fill_shares(work, parent, scratch, by_state):
     """Fill the last rows, ∂(J w)/∂q where the forces are λ = J w, J the rows of the velocities. (D23)"""
     nv, m, index = work.nv, work.active_rows, work.active_index
@@ -256,7 +266,11 @@ def _fill_shares(work, parent, scratch, by_state):
     at, shifts, changes = np.empty(slopes.PLACE), np.empty((nv, slopes.SHIFT)), np.empty((3, nv))
     axes, points, row = np.empty((len(index), 3, 3)), np.empty((len(index), 3)), nv + m
     places_of_contacts(work, index, axes, points)
+    shared = rubs(work)
     for k in range(len(index)):
+        if shared and _without_load(work, k, row - nv - m):
+            row += 1 if work.active_mode[k] == SLIP else 3
+            continue
         tip, base = _fill_place(work, parent, index[k], axes[k], at, shifts)
         slopes.velocity_slopes(columns, joint, parent, tip, base, at, shifts, scratch, False, changes)
         for d in range(2 if work.active_mode[k] == SLIP else 0, 3):
