@@ -384,6 +384,28 @@ def test_energy_is_drawn_between_the_steps_too(fall) -> None:
     assert np.ptp(ax.get_ylim()) < 3.0 * np.ptp(total[:, 1])  # the change fills the picture
 
 
+def test_energy_of_time_steps_is_drawn_as_it_is(fall) -> None:
+    # a box that strikes a wall without restitution as it slides: steps miss some of the work
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "slides")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    wall = pinimpact.Plane(point=(0.2, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
+    corners = [
+        pinimpact.Contact("slides", wall, friction=0.3, offset=(x, y, 0.0))
+        for x in (-0.1, 0.1)
+        for y in (-0.1, 0.1)
+    ]
+    scene = pinimpact.Scene(model, corners, without=["joint limits"])
+    motion = pinimpact.simulate(
+        *(scene, [0.0, 0.0, 1.0, 0.0], [2.0, 0.5, 3.0], 0.3), scheme="time-stepping", dt=5e-3
+    )
+    assert np.abs(motion.energy.residual).max() > 1e-3
+    (total,) = lines(plots.energy(motion), "kinetic + potential")
+    for t, value in zip(motion.t, motion.energy.total - motion.energy.total[0], strict=True):
+        assert np.abs(total[total[:, 0] == t, 1] - value).min() < 1e-12
+
+
 def test_gaps_modes_and_forces_over_time(fall) -> None:
     robot, trajectory = fall
     (gap,) = lines(plots.gaps(trajectory, robot), "tip")

@@ -108,7 +108,8 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the change of kinetic plus potential energy over time, and the work of each cause.
 
-    Work is integrated with the motion, and is drawn between samples, too.
+    Work is integrated with the motion, and is drawn between samples, too; the energy differs from their sum by
+    the energy residual of the samples.
     """
     ax = axes_for(ax, (8.0, 4.0))
     times, sides = moments(trajectory)
@@ -116,8 +117,12 @@ def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     last = np.searchsorted(trajectory.t, times, side="right") - 1
     first = np.maximum(np.searchsorted(trajectory.t, times, side="left") - 1, 0)
     before = np.array([side == "left" for side in sides])
-    impacts = trajectory.energy.impacts[np.where(before, first, last)]
-    total = works.sum(axis=1) + impacts
+    since = np.where(before, first, last)
+    until = np.minimum(since + 1, len(trajectory.t) - 1)
+    length = trajectory.t[until] - trajectory.t[since]
+    part = np.divide(times - trajectory.t[since], length, out=np.zeros_like(times), where=length > 0.0)
+    impacts, residual = trajectory.energy.impacts[since], trajectory.energy.residual
+    total = works.sum(axis=1) + impacts + residual[since] + part * (residual[until] - residual[since])
     ax.plot(times, total, color=BLACK, lw=2.2, label="kinetic + potential")
     for k, (name, color) in enumerate(WORKS):
         if np.any(works[:, k]):
