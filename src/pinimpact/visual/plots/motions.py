@@ -108,8 +108,8 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the change of kinetic plus potential energy over time, and the work of each cause.
 
-    Work is integrated with the motion, and is drawn between samples, too; the energy differs from their sum by
-    the energy residual of the samples.
+    Work is integrated with the motion, and is drawn between samples, too; the energy differs from their sum
+    by the energy residual of the samples.
     """
     ax = axes_for(ax, (8.0, 4.0))
     times, sides = moments(trajectory)
