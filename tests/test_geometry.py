@@ -304,6 +304,20 @@ def test_a_smooth_rim_does_not_stand():
     assert np.isnan(hits.v).all(axis=1).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+def test_a_smooth_rim_does_not_lie_flat_in_time_steps(restitution, tilt):
+    # its single point of contact would let it topple, and spin on as on a tip
+    robot = shaped_body(coal.Cylinder(0.1, 0.3), cylinder_inertia(2.0, 0.1, 0.3))
+    contact = Contact(geometry="thing_0", plane=FLOOR, friction=0.5, restitution=restitution)
+    q0 = turned(pin.utils.rotate("x", tilt), (0.0, 0.0, 0.1 * np.sin(tilt) + 0.15 * np.cos(tilt) + 0.01))
+    with pytest.raises(SimulationError, match="'thing_0 rim 1 on floor' lies flat"):
+        pinimpact.simulate(Scene(robot, contact), q0, np.zeros(6), 0.5, scheme="time-stepping")
+    lying = turned(pin.utils.rotate("x", np.pi / 2), (0.0, 0.0, 0.11))
+    rolls = pinimpact.simulate(Scene(robot, contact), lying, np.ones(6), 0.5, scheme="time-stepping")
+    assert rolls.complete
+
+
 def test_a_rim_that_topples_flat_goes_no_further():
     """About its lowest point, with θ̈ = −(4 g/5 ρ) cos θ, and θ small; spun, it rolls on round its edge."""
     rho, theta = 0.2, 0.02
@@ -314,6 +328,9 @@ def test_a_rim_that_topples_flat_goes_no_further():
         pinimpact.simulate(scene, q0, np.zeros(6), 0.5)
     topples = np.sqrt(2.0 * theta * 5.0 * rho / (4.0 * G))
     assert caught.value.partial.t[-1] == pytest.approx(topples, rel=1e-4)
+    with pytest.raises(SimulationError, match="'rim' lies flat on its surface") as caught:
+        pinimpact.simulate(scene, q0, np.zeros(6), 0.5, scheme="time-stepping")
+    assert caught.value.partial.t[-1] == pytest.approx(topples, abs=1e-3)
     spun = run(scene, q0, np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0]), 0.1)
     assert spun.complete
     assert spun.q[:, 2].min() > 0.0

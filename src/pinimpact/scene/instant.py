@@ -161,7 +161,7 @@ class Instant:
             q, v = self.state.q, self.state.v
             parting = max(self.error(v), work.resting_speed)
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
-            self.rims.check(where)
+            self.rims.check(where, work.touching_gap)
             if self.crowds_refused and not resolved:
                 self._refuse_crowd()
             if i >= 0:
@@ -217,6 +217,7 @@ class Instant:
             if parting is None:
                 parting = np.maximum(self.dynamics.work.resting_speed, np.where(pressed, rates, 0.0))
             self._where[:] = np.where((rates <= parting) & np.isfinite(rates), ARRIVING, APART)
+            self.rims.check(self._where, touching)
             resolved += self._strike(i, -float(rates[i]), resolved)
         self._keep(resolved)
 

@@ -13,13 +13,18 @@ from ..robot.placed_robot import PlacedRobot
 from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART
 from ._kernels.contact_forces import FREE
+from ._kernels.step_rows import StepResult, StepRows
 from ._kernels.tolerances import NEARLY_SINGULAR
+from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
 
 
 class Rims:
-    """The rims of a motion."""
+    """The rims of a motion.
+
+    What stops where a rim lies flat raises a `SimulationError`.
+    """
 
     def __init__(self, model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState) -> None:
         self._model, self._data, self._dynamics, self._state = model, data, dynamics, state
@@ -37,27 +42,35 @@ class Rims:
         return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
 
     def refuse_flat(self) -> None:
-        """Stop where a closed rim has come to lie flat, as nearly as steps can tell.
-
-        Raises:
-            SimulationError: See above.
-        """
+        """Stop where a closed rim has come to lie flat, as nearly as steps can tell."""
         closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
-        self._refuse_flat(closed, NEARLY_SINGULAR)
+        self._refuse_flat(closed, self._dynamics.work.touching_gap, NEARLY_SINGULAR)
 
-    def check(self, where: Integers) -> None:
-        """Stop where a rim touches all round, within the tolerance of touching."""
-        touching = [k for k in self._rims if where[k] != APART]
-        self._refuse_flat(touching, 0.0)
+    def check(self, where: Integers, touching: float) -> None:
+        """Stop where a rim touches all round, within a distance [m]."""
+        self._refuse_flat([k for k in self._rims if where[k] != APART], touching, 0.0)
 
-    def _refuse_flat(self, rims: list[int], least: float) -> None:
-        """Stop where a rim lies flat, or the sine of its tilt is below `least`."""
+    def check_step(self, rows: StepRows, found: StepResult, step: DenseStep) -> None:
+        """Stop where a rim that a time step presses lies flat in it: its lowest point goes round."""
+        if not self._rims:
+            return
+        pressed = rows.contacts[found.impulse[rows.normals[: len(rows.contacts)]] > 0.0]
+        rims = [k for k in self._rims if k in pressed]
+        tilts = [self._tilts(rims, at) for at in (step.q, step.at(step.end)[0])]
+        for k, one, other in zip(rims, *tilts, strict=True):
+            if float(one @ other) <= 0.0:
+                self._refuse(k)
+
+    def _refuse_flat(self, rims: list[int], touching: float, least: float) -> None:
+        """Stop where all of a rim is nearer than a distance [m], or the sine of its tilt is below `least`."""
         for k, tilt in zip(rims, self._tilts(rims, self._state.q), strict=True):
-            contact, size = self._dynamics.contacts[k], float(np.linalg.norm(tilt))
-            if 2.0 * contact.rim * size <= self._dynamics.work.touching_gap or size < least:
-                raise SimulationError(
-                    f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact
-                )
+            size = float(np.linalg.norm(tilt))
+            if 2.0 * self._dynamics.contacts[k].rim * size <= touching or size < least:
+                self._refuse(k)
+
+    def _refuse(self, rim: int) -> None:
+        contact = self._dynamics.contacts[rim]
+        raise SimulationError(f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact)
 
     def _tilts(self, rims: list[int], q: Array) -> list[Array]:
         """Return u × n (3,) of rims, see `tilt_of_rim`."""

@@ -176,6 +176,7 @@ class TimeStepping(Integrator):
         rows, system, found, (share, lost, overlap) = self._solve(t, h, middle, strikes)
         step, axes = self._dense(t, h, system, rows, found)
         step.end = t + share * h
+        self.instant.rims.check_step(rows, found, step)
         if self.record.keeps_steps:
             step.taken = self._taken(h, (middle, system.softened, pushed), axes, rows, found)
         closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
@@ -205,8 +206,7 @@ class TimeStepping(Integrator):
             pressed[rows.near(self.work.contacts)] = found.impulse[rows.normals] > 0.0
             self._collide(slowest, within, step.taken, pressed)
             return CUT
-        active = ~found.arrives
-        moved = self._no_change
+        active, moved = ~found.arrives, self._no_change
         if overlap > max(self._touching, self._closed(h, found)):
             moved = self._project(step, h, overlap, system)
         if self._continuous is None:
