@@ -366,6 +366,31 @@ def test_mimic_joints_move_as_they_are_told():
         assert pinimpact.impacts(coupled, data, q, v, struck).v[0].tolist() == hit.v.tolist()
 
 
+def test_a_mimic_joint_of_a_robot_with_one_velocity():
+    # Pinocchio has the Jacobian of such a frame as a vector
+    limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
+    model = pin.buildModelFromXML(
+        f"""<robot name="fold"><link name="world"/><link name="arm">{INERTIAL}</link>
+        <link name="hand">{INERTIAL}</link>
+        <joint name="shoulder" type="revolute"><parent link="world"/><child link="arm"/>
+          <axis xyz="0 1 0"/>{limit}</joint>
+        <joint name="elbow" type="revolute"><parent link="arm"/><child link="hand"/><origin xyz="1 0 0"/>
+          <axis xyz="0 1 0"/>{limit}<mimic joint="shoulder" multiplier="-2"/></joint></robot>""",
+        mimic=True,
+    )
+    assert model.nv == 1
+    angle, rate = 0.4, 0.7
+    tip = pinimpact.Contact("hand", pinimpact.Plane(), offset=(1, 0, 0), restitution=0.5)
+    # arm and hand at angles of ∓angle below the horizontal: the tip moves along x
+    across = pinimpact.Contact("hand", pinimpact.Plane(normal=(1, 0, 0)), offset=(1, 0, 0), restitution=0.5)
+    matrices = pinimpact.contact_matrices(model, model.createData(), [angle], across)
+    assert np.allclose(matrices.jacobian, [[0.0], [0.0], [-2.0 * np.sin(angle)]], atol=1e-15)
+    hit = pinimpact.impact(model, model.createData(), [angle], [rate], across)
+    assert hit.v == pytest.approx([-0.5 * rate])
+    still = pinimpact.impact(model, model.createData(), [angle], [rate], tip)
+    assert still.solution.status == pinimpact.Status.NO_IMPACT
+
+
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [

@@ -128,7 +128,8 @@ class PlacedRobot:
         columns = np.zeros((6, self.model.nv), order="F")
         for sign, k in ((1.0, frame), (-1.0, carrier)):
             if k > 0:
-                rows = pin.computeFrameJacobian(self.model, self.data, self.q, k, pin.LOCAL_WORLD_ALIGNED)
+                found = pin.computeFrameJacobian(self.model, self.data, self.q, k, pin.LOCAL_WORLD_ALIGNED)
+                rows = found.reshape(columns.shape)  # of one column it is a vector
                 rows[:3] -= np.cross(rows[3:], self.data.oMf[k].translation, axisa=0, axisc=0)
                 columns += sign * rows
         return columns
