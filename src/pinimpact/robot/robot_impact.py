@@ -200,7 +200,7 @@ def impact(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; `contact_matrices` lists the fields that change.
+        data: Its data; `contact_matrices` lists the fields that may change.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
         contact: The contact that collides, or a list of those that are closed at this instant. For a
