@@ -257,7 +257,7 @@ WRONG = {
     "two numbers": (
         ("velocity = [2, 0, 0]", "velocity = [2, 0]"),
         pinimpact.InputError,
-        r"plane\.belt\.velocity",
+        r"plane\.belt\.velocity: \[2, 0\] given.*more numbers",
     ),
     "no duration": (("duration = 1.5", ""), pinimpact.InputError, "duration.*required key missing"),
     "negative time": (("duration = 1.5", "duration = -1"), pinimpact.InputError, "duration: -1"),
@@ -300,6 +300,11 @@ def test_what_is_wrong_is_said_by_key(case: str, tmp_path: Path) -> None:
     assert caught.value.field
 
 
+def test_a_file_without_robots(tmp_path: Path) -> None:
+    with pytest.raises(pinimpact.InputError, match=r"robot: \[\] given.*at least 1"):
+        scene_of(tmp_path, "duration = 1.0\nrobot = []\n")
+
+
 def test_no_such_file(tmp_path: Path) -> None:
     with pytest.raises(pinimpact.InputError, match=r"nothing\.toml"):
         load_scene(tmp_path / "nothing.toml")
@@ -318,7 +323,7 @@ def test_quantities(text, kind, value) -> None:
     assert quantity(text, kind) == pytest.approx(value, rel=1e-15)
 
 
-@pytest.mark.parametrize("bad", ["5", "x m", "nan m", True, "5 s", [1], math.inf])
+@pytest.mark.parametrize("bad", ["5", "x m", "nan m", True, "5 s", [1], math.inf, 10**400])
 def test_what_is_no_length(bad) -> None:
     with pytest.raises(ValueError, match="is not a length"):
         quantity(bad, "length")

@@ -228,7 +228,7 @@ class SceneFile(Table):
     gravity: tuple[Acceleration, Acceleration, Acceleration] | None = None
     """Gravity in world axes. Default: that of the model, usually (0, 0, −9.81)."""
     control: ControlTable | None = None
-    robot: list[RobotTable]
+    robot: Annotated[list[RobotTable], Field(min_length=1)]
     plane: dict[str, PlaneTable] = {}
     sphere: dict[str, SphereTable] = {}
     box: dict[str, BoxTable] = {}
@@ -344,6 +344,11 @@ def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> Pinim
         return InputError(
             f"{key}: {given} in {path.name} must be a list of tables; write [[{key}]]",
             value=complaint["input"],
+        )
+    if complaint["type"] == "missing" and isinstance(place[-1], int):
+        given, key = in_short(complaint["input"]), key[: key.rindex("[")]
+        return InputError(
+            f"{key}: {given} given in {path.name}; more numbers expected", value=complaint["input"]
         )
     if complaint["type"] == "missing":
         return InputError(f"{key}: {path.name}: required key missing")

@@ -27,7 +27,7 @@ def quantity(value: Any, kind: str) -> float:
         raise ValueError(f"{value!r} is not a {kind}; its units are {', '.join(units)}")
     try:
         found = float(number) * units[unit]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not math.isfinite(found):
         raise ValueError(

@@ -135,7 +135,7 @@ class Trajectory:
         _check_side(side)
         t = self._covered(t)
         if self.sensitivities is None:
-            what = "sensitivities: name them in simulate(..., sensitivities=)"
+            what = "sensitivities: name them in simulate(..., sensitivities=); files and pickles have none"
             raise InputError(what, field="sensitivities")
         number = self._number(t, side)
         return self.sensitivities.at(number, min(t, float(self._ends[number])))
@@ -346,7 +346,10 @@ class Trajectory:
         return found
 
     def save(self, path: str | Path) -> None:
-        """Write the trajectory to one .npz file of numbers and text."""
+        """Write the trajectory to one .npz file of numbers and text.
+
+        Sensitivities are left out, and contacts whose restitution is a function have zero instead.
+        """
         write_trajectory(path, self._parts())
 
     @classmethod
