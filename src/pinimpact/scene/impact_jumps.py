@@ -183,6 +183,11 @@ class SingleJump(NamedTuple):
     boundary: Boundary
     v: Array
 
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The contacts and, past those, limits that take part."""
+        return (self.number,)
+
     def guard(self, least: float) -> Array | None:
         """Return ∂(gap)/∂q (nv,) of what closes."""
         return self.approach
@@ -216,7 +221,8 @@ class GroupJump:
     ) -> None:
         assert record.group is not None
         group, dynamics = record.group[0], scene.dynamics
-        self._group, self._record, self._sources = group, record, np.array(group.sources, dtype=np.int64)
+        self.record, self.numbers = record, group.sources
+        self._group, self._sources = group, np.array(group.sources, dtype=np.int64)
         count = len(dynamics.contacts)
         placed = PlacedRobot(scene.model, scene.data, record.q)
         self._contacts, known = [], {}
@@ -265,7 +271,7 @@ class GroupJump:
 
         None if the impact is not the recorded one, so that it has another outcome nearby.
         """
-        nv, record, inputs = len(x) // 2, self._record, self._inputs
+        nv, record, inputs = len(x) // 2, self.record, self._inputs
         solution = find_policy(self._group.policy).run(inputs, False, **self._group.options)
         impulse, change = solution.impulse.ravel(), record.v_after - record.v_before
         response = self._matrices.response

@@ -17,7 +17,7 @@ from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
-from ._kernels.contact_forces import SLIP, STICK
+from ._kernels.contact_forces import FREE, SLIP, STICK
 from ._kernels.tolerances import REMAINS, ROUNDING
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
@@ -160,7 +160,7 @@ class Saltation:
         if not impacts and before.closed is after.closed:
             return x
         t, work, robot = before.end, self._dynamics.work, (self._model, self._data)
-        modes, later = self._modes(before), self._modes(after)
+        modes, later = self.modes(before), self.modes(after)
         minus = self.slopes.at(before, t)
         dry = before.closed.sliding if before.closed is not None else np.zeros(work.nv)
         sliding = after.closed.sliding if after.closed is not None else np.zeros(work.nv)
@@ -214,7 +214,8 @@ class Saltation:
         found = np.vstack([moved[:nv], by[:nv, :-1] @ moved + np.outer(by[:nv, -1], shift)])
         return self._checked(plus, found - np.outer(later, shift))
 
-    def _modes(self, step: DenseStep) -> Integers:
+    def modes(self, step: DenseStep) -> Integers:
+        """Return the modes of contacts, limits and joints in a step."""
         work = self._dynamics.work
         if step.closed is None:
             return np.zeros(work.contacts + work.limits + work.nv, dtype=np.int64)
@@ -285,26 +286,33 @@ class Saltation:
         if np.abs(removed).max(initial=0.0) > 10.0 * error:
             result = self._without(result, removed, impacts[0].q, plus)
         result -= rates[1][:, None] * shifts
-        return self._bounced(result, jumps, modes[1], plus)
+        result = self._bounced(result, jumps, modes[1])
+        by_e = [one.kind == "restitution" for one in self.parameters]
+        if any(by_e) and len(plus.rows) > 0:
+            columns = np.flatnonzero(by_e) + result.shape[1] - len(by_e)
+            result[:, columns] = _onto(plus, result[:, columns])
+        return np.asarray(result)
 
-    def _bounced(
-        self, x: Array, jumps: Sequence[SingleJump | GroupJump], later: Integers, plus: ModeSlopes
-    ) -> Array:
-        """Return changes with those by e, at e = 0, of contacts that stay closed. (D39)
+    def _bounced(self, x: Array, jumps: Sequence[SingleJump | GroupJump], later: Integers) -> Array:
+        """Return changes with those by e, at e = 0, of contacts that stay closed in modes (n + nl,). (D39)
 
         Each rebounds at e times its approach, lands with the same impulse again, and its force is missing
         meanwhile; further bounces are of second order. One that the impact has stopped and that slides on
-        may land otherwise, and is not followed.
+        may land otherwise, and is not followed, nor are those of an impact at several contacts.
         """
         nv, first = len(x) // 2, x.shape[1] - len(self.parameters)
-        alone = {jump.number: jump for jump in jumps if isinstance(jump, SingleJump)}
+        struck = {number: jump for jump in jumps for number in jump.numbers}
         for column, one in enumerate(self.parameters, first):
-            if one.kind != "restitution" or one.contact not in alone:
+            jump, mode = struck.get(one.contact), int(later[one.contact])
+            rests = self._dynamics.contacts[one.contact].restitution == 0.0 and mode != FREE
+            if one.kind != "restitution" or jump is None or not rests:
                 continue
-            jump, mode = alone[one.contact], int(later[one.contact])
-            if mode == STICK or (mode == SLIP and jump.record.solution.segments[-1].mode == "slip"):
+            if isinstance(jump, SingleJump) and (
+                mode == STICK or jump.record.solution.segments[-1].mode == "slip"
+            ):
                 x[nv:, column] += jump.by["restitution"]
-                x[:, [column]] = _onto(plus, x[:, [column]])
+            else:
+                x[:, [column]] = self._undefined(x[:, [column]], Boundary.EVENTS_COINCIDE)
         return x
 
     def strike(
@@ -313,16 +321,18 @@ class Saltation:
         impacts: Sequence[ImpactRecord],
         modes: Integers,
         corners: Mapping[int, Corner],
+        later: Integers,
     ) -> Array:
         """Return how changes x (2nv, n) before impacts within a time step are after them.
 
         There what is closed moves: its velocities vanish only where steps end. The modes are of contacts and
-        limits before, the corners what contacts of two shapes stand for.
+        limits before and later, in the next step, the corners what contacts of two shapes stand for.
         """
         records = {id(one if one.group is None else one.group[0]): one for one in impacts}.values()
         if any(one.resting for one in impacts):
             self.boundary |= Boundary.LAST_BOUNCE
-        return self._after(x, [self._jumps.of(record, modes, corners, TIED) for record in records])
+        jumps = [self._jumps.of(record, modes, corners, TIED) for record in records]
+        return self._bounced(self._after(x, jumps), jumps, later)
 
     def _after(self, x: Array, jumps: Sequence[SingleJump | GroupJump]) -> Array:
         """Return changes after some impacts, one after another."""

@@ -401,7 +401,8 @@ class Sensitivities:
                 x, boundary = np.full_like(x, np.nan), boundary | Boundary.EVENTS_COINCIDE
             else:
                 saltation.boundary = boundary
-                given = struck, steps.modes(reached), reached.struck
+                later = saltation.modes(step) if taken is None else steps.modes(taken)
+                given = struck, steps.modes(reached), reached.struck, later
                 x[: 2 * len(step.v)] = saltation.strike(x[: 2 * len(step.v)], *given)
                 boundary = saltation.boundary
         if taken is None:
