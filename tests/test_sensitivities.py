@@ -73,7 +73,11 @@ def slope(scene, q0, v0, duration, towards, names=(), step=2e-5):
         return run, run.q[-1], run.v[-1]
 
     runs = [final(s) for s in (-2, -1, 0, 1, 2)]
-    orders = [[record.source for record in run[0].impacts] for run in runs]
+    # slip that ends may leave errors of steps to an impact without collision, which is no kink
+    orders = [
+        [record.source for record in run[0].impacts if abs(record.v_after - record.v_before).max() > 1e-9]
+        for run in runs
+    ]
     assert all(order == orders[2] for order in orders), "a kink"
     _, q, v = runs[2]
     a, b, _, c, d = (np.concatenate([pin.difference(model, q, x), y - v]) for _, x, y in runs)
