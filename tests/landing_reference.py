@@ -17,7 +17,7 @@ def step_through(w, start, friction, restitution, stiffness, h):
     while True:
         pressed = False
         for i in range(n):
-            pressed = pressed or indentation[i] > 0.0 or v[3 * i + 2] < -1e-9
+            pressed = pressed or indentation[i] > 1e-8 or v[3 * i + 2] < -1e-8
         if not pressed:
             return v
         strongest = 0.0

@@ -32,7 +32,7 @@ STEP, EVENT, ROW, POINT, ENDED = 0, 1, 2, 3, 4
 """Places in `counts`."""
 
 MOST_EVENTS = 200
-"""Events per contact, at most."""
+"""Events per contact, at most, in which what is left of the approach does not fall to a half."""
 
 FEWEST, PLASTIC_EVENTS = 500, 4
 """Events, and those per contact, after which it is first asked, where no contact restores anything, how an
@@ -63,7 +63,7 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
                 close(system, state, j)
             elif v[3 * j + 2] < -ROUNDOFF:
                 return False
-    clock, at_once = 0.0, 0
+    clock, at_once, slower, most_events = 0.0, 0, 0.5, MOST_EVENTS * n
     left, ends, apart = np.zeros(3 * n), np.zeros(3 * n), math.inf
     check = NONE_YET + FEWEST + PLASTIC_EVENTS * n
     counts[:] = 0
@@ -73,7 +73,8 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
         time = _next_closing(state)
         if not presses and time == NEVER:
             return True
-        if _rests(system, state):
+        fastest = _fastest_approach(system, state)
+        if fastest <= SLOW:
             counts[ENDED] = 1
             come_to_rest(system, state, works)
             counts[POINT] = record(path, counts[POINT], clock, state)
@@ -87,7 +88,9 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
                     counts[POINT] = record(path, counts[POINT], clock, state)
                 return ended
             apart, check = 0.0, 2 * counts[EVENT]
-        if counts[ENDED] == 2 or counts[EVENT] >= MOST_EVENTS * n:
+        if fastest <= slower:  # a series of impacts that dies out
+            slower, most_events = 0.5 * fastest, counts[EVENT] + MOST_EVENTS * n
+        if counts[ENDED] == 2 or counts[EVENT] >= most_events:
             counts[ENDED] = 2
             return True
         if not presses:
@@ -294,17 +297,16 @@ def _at_rest(series, state):
 
 
 @inlined
-def _rests(system, state):
-    """Return whether no contact approaches, or can come to, faster than what counts as rest."""
+def _fastest_approach(system, state):
+    """Return the speed at which any contact approaches, or can come to by what it has stored."""
+    fastest = 0.0
     for j in range(len(state.normal)):
         z = 3 * j + 2
-        speed = -state.v[z]
+        fastest = max(fastest, -state.v[z])
         if state.normal[j] != OPEN and state.indentation[j] > 0.0:
             energy = stored(system, j, state.indentation[j])
-            speed = max(speed, math.sqrt(2.0 * energy * system.w[z, z]))
-        if speed > SLOW:
-            return False
-    return True
+            fastest = max(fastest, math.sqrt(2.0 * energy * system.w[z, z]))
+    return fastest
 
 
 @inlined
