@@ -22,7 +22,8 @@ from .codes import (
     SLIPPING,
 )
 from .first_fall import value_at
-from .propagation_state import open_contact, rate, stored
+from .propagation_sharing import spread
+from .propagation_state import UNEVEN, open_contact, rate, stored
 from .tolerances import SLIP_SPEED, SLOW
 
 
@@ -51,8 +52,15 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
         parts: (ORDER + 1,) scratch.
     """
     n = len(system.friction)
+    uneven = False
     for k in range(degree + 1):
         parts[k] = time_power(k, h, pace, root)
+    for j in range(n):
+        uneven |= state.shared[j] == UNEVEN
+        for i in range(3 * j, 3 * j + 3):
+            series.beyond[i] = 0.0
+    if uneven:
+        spread(system, state, series, degree, h, pace, root, series.beyond)
     for j in range(n):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         before, moves = state.impulse[z], series.changes[x] + series.changes[y] + series.changes[z] > 0
@@ -66,6 +74,8 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
                     friction_work += (_product(series, x, k) + _product(series, y, k)) * part
                 for i in range(x, z + 1):
                     state.impulse[i] += series.force[k, i] * part
+            for i in range(x, z):
+                state.impulse[i] += series.beyond[i]
             if state.normal[j] != HELD:  # it is what the spring takes
                 normal_work = stored(system, j, state.indentation[j])
                 normal_work -= stored(system, j, value_at(series.indentation, j, degree, h))
@@ -132,6 +142,7 @@ def record_step(path, points, clock, series, state, h, degree, pace, root):
                 rest = 0.0
                 for k in range(degree + 1):
                     rest += series.force[k, i] * (time_power(k, h, pace, root) - time_power(k, s, pace, root))
+                rest += series.beyond[i] * (1.0 - part / POINTS)
                 path[points, 1 + m + i] = state.impulse[i] - rest
             points += 1
     return record(path, points, clock + time_power(NONE_YET, h, pace, root), state)

@@ -9,7 +9,8 @@ from ..._numeric.tolerances import NOISE, ROUNDOFF
 from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
 from .propagation_series import ORDER, SHORT
-from .propagation_state import AT_BOUND, TIED, begins, close, open_contact, stick
+from .propagation_sharing import limit_of_holding
+from .propagation_state import AT_BOUND, NOT_SHARED, SHARED, TIED, UNEVEN, begins, close, open_contact, stick
 from .tolerances import NEGLIGIBLE, SAME, SLIP_SPEED, SLOW, STOPS
 
 REACH = 20.0
@@ -27,7 +28,7 @@ def _fall(c, h, zero, crowded, work):
 def find_events(system, state, series, h, tie, crowded, roots, guard, work):
     """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
     n = len(system.friction)
-    first, degree = NEVER, ORDER
+    first, degree, uneven = NEVER, ORDER, False
     strongest = 0.0
     for j in range(n):
         for k in range(2):
@@ -82,6 +83,9 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                     total -= series.force[i, y] * series.force[k - i, y]
                 guard[k] = total
             roots[j, 2] = _fall(guard, reach, NOISE * strongest * strongest, crowded, work)
+            if state.shared[j] != NOT_SHARED:
+                uneven |= roots[j, 2] < NEVER
+                roots[j, 2] = NEVER
         elif state.tangent[j] == SLIPPING:
             roots[j, 2], straight = _end_of_slip(state, series, h, reach, j, guard, work)
             if straight and roots[j, 2] < first:
@@ -91,6 +95,13 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 first = roots[j, k]
                 if k < 2 or state.tangent[j] == STUCK:
                     degree = ORDER
+    for j in range(n):
+        if state.shared[j] != NOT_SHARED:
+            state.shared[j] = UNEVEN if uneven else SHARED
+    if uneven:
+        limit = limit_of_holding(system, state, series, ORDER, min(h, first), roots, work)
+        if limit < NEVER:
+            return limit, ORDER
     return first, degree
 
 
@@ -166,7 +177,9 @@ def apply_events(system, state, series, roots, first, tie):
             fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
             length = math.hypot(fx, fy)
             bound = system.friction[j] * value_at(series.force, z, ORDER, first)
-            if length > 0.0 and (tangent or length >= (1.0 - SAME) * bound):
+            if state.shared[j] != NOT_SHARED:
+                state.fresh[j] = AT_BOUND if tangent else 0
+            elif length > 0.0 and (tangent or length >= (1.0 - SAME) * bound):
                 state.direction[2 * j], state.direction[2 * j + 1] = -fx / length, -fy / length
                 state.fresh[j] = AT_BOUND
         if not (normal or held):

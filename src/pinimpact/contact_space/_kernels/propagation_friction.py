@@ -8,13 +8,13 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
 from ..._numeric.tolerances import EXACT, LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import bounded_unknowns, expand, force_inverse, hold, natural_pace, unknown_after
+from .propagation_sharing import holds_now, mark_shared
 from .propagation_slip_onset import align, begin_at_bound
-from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
+from .propagation_state import AT_BOUND, NOT_SHARED, RESUMED, friction_share, loads
 from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED
 
 WEIGHED_AHEAD = 0.1
@@ -51,6 +51,7 @@ def settle(system, state, series):
     stuck, held = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     asked, at_bound, restores = 0, False, True
     for j in range(n):
+        state.shared[j] = NOT_SHARED
         restores = restores and system.unloading[j] > 0.0
         if normal[j] == HELD:
             held[j] = 1
@@ -70,32 +71,29 @@ def settle(system, state, series):
     unknown = bounded_unknowns(system, state)
     inverse = np.empty((len(unknown), len(unknown)))
     force_inverse(system, state, unit, unknown, weight, inverse)
-    forces, first = p.copy(), np.empty(3 * n)
+    forces = p.copy()
     hold(system, state, unit, unknown, inverse, np.empty(len(unknown)), forces)
     scale = 0.0
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
+    shared = restores and mark_shared(system, state)
     fits = _fits(system, state, cap, unknown, forces, scale)
-    if fits and not at_bound and _within_bounds(system, state, forces, ROOM):
+    if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
         return unknown, inverse, weight, True
-    redundant = restores and _redundant(system, state, weight)
-    if redundant and at_bound:
-        return unknown, inverse, weight, False
-    if not redundant and not root and begin_at_bound(system, state, unit, weight, series):
+    if not root and begin_at_bound(system, state, unit, weight, series):
         unknown, inverse, weight = unknown_after(system, state, unit, weight)
         return unknown, inverse, weight, True
-    for i in range(3 * n):
-        first[i] = forces[i]
-    moves, apart = False, 0.0
+    if shared and at_bound and root:
+        return unknown, inverse, weight, False
+    if shared and (fits or holds_now(system, state, p)):
+        return unknown, inverse, weight, True
+    known = True
     if not fits:
-        moves = _admit(system, state, unit, cap, p, heaviest, not root, forces)
-        for i in range(3 * n):
-            apart = max(apart, abs(forces[i] - first[i]))
-    known = not (redundant and moves)
-    if fits or (not moves and apart > SAME * scale):
-        known = not redundant or _within_bounds(system, state, forces, 1.0 - LITTLE)
+        _admit(system, state, unit, cap, p, heaviest, not root, forces)
     if not fits and not root:
         align(system, state, unit, weight, series)
+    for j in range(n):  # slips of one body begin in directions of one rigid motion
+        known = known and not (shared and tangent[j] == SLIPPING and stuck[j] == 1 and state.fresh[j] == 1)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     return unknown, inverse, weight, known
 
@@ -154,25 +152,6 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
     for j in range(n):
         weight[j] = max(weight[j], NEGLIGIBLE * heaviest)
     return heaviest, root
-
-
-@inlined
-def _redundant(system, state, weight):
-    """Return whether contacts that hold can do so in several ways."""
-    n, heaviest, count = len(weight), 0.0, 0
-    for j in range(n):
-        heaviest = max(heaviest, weight[j])
-    at = np.empty(n, dtype=np.int64)
-    for j in range(n):
-        if state.tangent[j] == STUCK and weight[j] > NEGLIGIBLE * heaviest:
-            at[count] = j
-            count += 1
-    size = 2 * count
-    block, none, least = np.empty((size, size)), np.zeros(size), np.empty(size)
-    for a in range(size):
-        for b in range(size):
-            block[a, b] = system.w[3 * at[a // 2] + a % 2, 3 * at[b // 2] + b % 2]
-    return least_norm(block, none, NEGLIGIBLE, least, np.empty((0, size))) < size
 
 
 @inlined

@@ -10,12 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FloatRows, Integers
+from ..._compile.declared import FloatRows, Floats, Integers
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm, least_norms
+from ..._numeric.products import dot
 from .codes import BOUND, FREE, HELD, OPEN, SLIPPING, STUCK
-from .propagation_state import TIED, begins, friction_share, loads, rate
+from .propagation_mechanism import fill_mechanism, new_mechanism, turn_together
+from .propagation_state import NOT_SHARED, TIED, begins, friction_share, loads, rate
 from .tolerances import NEGLIGIBLE
 
 ORDER, SHORT = np.int64(24), np.int64(2)
@@ -30,6 +32,7 @@ class Series(NamedTuple):
         speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| (of ρ where slip begins) and v_t/|v_t|.
         power: (K + 2, n) of what is raised to the power η, and then of the power.
         changes: (3n,) 1 for the velocities that change.
+        beyond: (3n,) what impulses of the step are beyond those of the forces, see `spread`.
     """
 
     v: FloatRows
@@ -39,6 +42,7 @@ class Series(NamedTuple):
     unit: FloatRows
     power: FloatRows
     changes: Integers
+    beyond: Floats
 
 
 @inlined
@@ -52,6 +56,7 @@ def new_series(order, n):
         np.zeros((order + 1, 2 * n)),
         np.zeros((order + 2, n)),
         np.zeros(3 * n, dtype=np.int64),
+        np.zeros(3 * n),
     )
 
 
@@ -148,6 +153,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
     fixed, rates = np.empty(len(unknown)), np.empty(n)
     ties, closed = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     count = pressed = 0
+    together = order > 0
     for j in range(n):
         rates[j] = 0.0 if state.normal[j] == HELD else rate(system, state.normal[j], j)
         if state.normal[j] != OPEN or state.tangent[j] != FREE:
@@ -156,8 +162,11 @@ def expand(system, state, unknown, inverse, order, pace, series):
         if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
             ties[count] = j
             count += 1
+            together = together and state.shared[j] != NOT_SHARED and state.fresh[j] == TIED
     ties = ties[:count].copy()
     answers = np.zeros((count, 3 * n))
+    together = together and count > 0
+    mechanism = new_mechanism(len(ties) if together else 0)
     for k in range(order + 1):
         for i in range(3 * n):
             force[k, i] = 0.0
@@ -190,6 +199,10 @@ def expand(system, state, unknown, inverse, order, pace, series):
             for c in range(count):
                 answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[0], answers[c])
                 series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[0])
+            if together:
+                _find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
+        elif together:
+            turn_together(system, state, series, k, pace, ties, answers, mechanism)
         elif count > 0:
             _turn(system, state, series, k, pace, ties, answers)
         _integrate(system, rates, series, k, pace, root)
@@ -232,6 +245,21 @@ def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answe
     answer[3 * j] = push * state.direction[2 * j + 1]
     answer[3 * j + 1] = -push * state.direction[2 * j]
     hold(system, state, unit, unknown, inverse, fixed, answer)
+
+
+@inlined
+def _find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, mechanism):
+    """Set up the rigid motions with which slips begin together, with what is held."""
+    size = 2 * len(ties)
+    response, answer = np.empty((size, size)), np.empty(len(force))
+    for b in range(size):
+        for i in range(len(answer)):
+            answer[i] = 0.0
+        answer[3 * ties[b // 2] + b % 2] = 1.0
+        hold(system, state, unit, unknown, inverse, fixed, answer)
+        for a in range(size):
+            response[a, b] = dot(system.w[3 * ties[a // 2] + a % 2], answer)
+    fill_mechanism(system, state, response, ties, force, mechanism)
 
 
 @inlined

@@ -71,7 +71,7 @@ def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, for
     for _ in range(ROUNDS):
         for j in range(len(x)):
             bound[j] = part * friction[j] * force[3 * j + 2]
-        _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v)
+        minimize(rows, bound, creep, springs, stiff, x, part, target, y, v)
         change = 0.0
         for j in range(len(x)):
             if stiff[j]:
@@ -85,7 +85,7 @@ def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, for
 
 
 @inlined
-def _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
+def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
     """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
 
     Args:

@@ -12,6 +12,10 @@ from ..._compile.jit import inlined
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .tolerances import NEGLIGIBLE
 
+NOT_SHARED, SHARED, UNEVEN = 0, 1, 2
+"""`State.shared`: whether others can bear what friction at a contact does; and whether in the step to come
+that of the series, (14.4), leaves its bounds, so that they do."""
+
 TIED, RESUMED, AT_BOUND = 2, 4, 3
 """`State.fresh` of a slip that begins as friction comes to its bound, of one that does beyond it, and where
 friction has come to its bound."""
@@ -52,6 +56,7 @@ class State(NamedTuple):
         direction: (2n,) of the slip that a contact at the bound of its friction would take.
         fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
             3 where friction has come there, 4 for a slip that begins with an acceleration.
+        shared: (n,) whether others can bear what friction at a contact does, see `propagation_sharing`.
         share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
         pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
         last: (n,) the force of a held contact as its modes were last chosen.
@@ -66,6 +71,7 @@ class State(NamedTuple):
     tangent: Integers
     direction: Floats
     fresh: Integers
+    shared: Integers
     share: Floats
     pressed: Floats
     last: Floats
@@ -78,7 +84,7 @@ def new_state(v, impulse):
     n = len(v) // 3
     return State(
         *(v, impulse, np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)),
-        *(np.zeros(2 * n), np.zeros(n, dtype=np.int64), np.zeros(2 * n)),
+        *(np.zeros(2 * n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros(2 * n)),
         *(np.zeros(n), np.zeros(n), np.zeros(n)),
     )
 

@@ -1,0 +1,130 @@
+"""Slips of redundant contacts that begin together, as friction comes to all its bounds: one rigid motion.
+
+Velocities are L y s², with W = L Lᵀ in the tangential rows of the contacts that begin to slip, and slip
+directions u(0) = d. (theory.md, section 14)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._compile.declared import FloatRows, Floats, Integers
+from ..._compile.jit import inlined
+from ..._numeric.least_norm import least_norm
+from ..._numeric.products import dot
+from ..._numeric.semidefinite import factor, forward
+from .tolerances import NEGLIGIBLE
+
+
+class Mechanism(NamedTuple):
+    """The rigid motions of m contacts that begin to slip together, in r ≤ 2m coordinates y.
+
+    Attributes:
+        lower: (2m, 2m) L, in its first r columns.
+        order: (2m,) its pivots.
+        rank: (1,) r.
+        along, across: (m, 2m) rows L of velocities along the directions of slip, and across.
+        free: (2m, 2m) takes y to the part that has no velocities across where friction is.
+        turn: (2m,) the last coefficient of y, but for that part.
+    """
+
+    lower: FloatRows
+    order: Integers
+    rank: Integers
+    along: FloatRows
+    across: FloatRows
+    free: FloatRows
+    turn: Floats
+
+
+@inlined
+def new_mechanism(m):
+    """Return room for a mechanism of m contacts."""
+    size = 2 * m
+    return Mechanism(
+        *(np.zeros((size, size)), np.zeros(size, dtype=np.int64), np.zeros(1, dtype=np.int64)),
+        *(np.zeros((m, size)), np.zeros((m, size)), np.zeros((size, size)), np.zeros(size)),
+    )
+
+
+@inlined
+def fill_mechanism(system, state, response, ties, force, mechanism):
+    """Fill a mechanism from the response (2m, 2m) of its contacts' velocities to their forces.
+
+    Args:
+        ties: (m,) the contacts.
+        force: (3n,) forces as slip begins.
+    """
+    m, along, across = len(ties), mechanism.along, mechanism.across
+    r = mechanism.rank[0] = factor(response, mechanism.order, mechanism.lower, NEGLIGIBLE)
+    weighted, null = np.empty((m, r)), np.zeros((r, r))
+    for c in range(m):
+        j = ties[c]
+        dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
+        size = 0.0
+        for k in range(r):
+            lx, ly = mechanism.lower[2 * c, k], mechanism.lower[2 * c + 1, k]
+            along[c, k], across[c, k] = lx * dx + ly * dy, ly * dx - lx * dy
+            size = max(size, abs(lx), abs(ly))
+        for k in range(r):
+            if abs(across[c, k]) <= NEGLIGIBLE * size:  # as where what it may slip along is given
+                across[c, k] = 0.0
+            weighted[c, k] = system.friction[j] * force[3 * j + 2] * across[c, k]
+    count = r - least_norm(weighted, np.zeros(m), NEGLIGIBLE, np.empty(r), null)
+    for a in range(r):
+        for b in range(r):
+            mechanism.free[a, b] = dot(null[:count, a], null[:count, b])
+
+
+@inlined
+def turn_together(system, state, series, k, pace, ties, answers, mechanism):
+    """Find coefficients k of directions, and k − 1 of ρ. (14.13)
+
+    Args:
+        k: Order, above zero.
+        pace: Unit of the clock.
+        ties: (m,) the contacts.
+        answers: (m, 3n) what a turn at each changes of the forces.
+        mechanism: Of these contacts.
+    """
+    m, r, factor_k = len(ties), mechanism.rank[0], (k + 1.0) / pace
+    speed, unit, force = series.speed, series.unit, series.force
+    along, across, turn = mechanism.along, mechanism.across, mechanism.turn[:r]
+    right, gained, y, known = np.empty(2 * m), np.empty(2 * m), np.empty(r), np.empty(m)
+    stiff = np.zeros((r, r))
+    for a in range(2 * m):
+        right[a] = dot(system.w[3 * ties[a // 2] + a % 2], force[k])
+    forward(mechanism.lower, mechanism.order, r, right, gained)
+    left = gained[:r]
+    for a in range(r):
+        y[a] = turn[a] + dot(mechanism.free[a, :r], left) / factor_k
+    for a in range(r):
+        left[a] -= factor_k * y[a]
+    for c in range(m):
+        j = ties[c]
+        dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
+        rho = dot(along[c, :r], y)
+        for i in range(k - 1):
+            rho -= speed[i, j] * (unit[k - 1 - i, 2 * j] * dx + unit[k - 1 - i, 2 * j + 1] * dy)
+        speed[k - 1, j] = rho
+        if not speed[0, j] > 0.0:  # it does not begin
+            return
+        total = 0.0
+        for i in range(1, k):
+            total -= speed[i, j] * (unit[k - i, 2 * j + 1] * dx - unit[k - i, 2 * j] * dy)
+        known[c] = total / speed[0, j]
+        push = system.friction[j] * force[0, 3 * j + 2]
+        for a in range(r):
+            left[a] -= push * known[c] * across[c, a]
+            for b in range(r):
+                stiff[a, b] += push / speed[0, j] * across[c, a] * across[c, b]
+    least_norm(stiff, left, NEGLIGIBLE, turn, np.empty((0, r)))
+    for c in range(m):
+        j = ties[c]
+        x = dot(across[c, :r], turn) / speed[0, j] + known[c]
+        unit[k, 2 * j] -= x * state.direction[2 * j + 1]
+        unit[k, 2 * j + 1] += x * state.direction[2 * j]
+        for i in range(len(answers[c])):
+            force[k, i] += x * answers[c, i]
