@@ -22,6 +22,7 @@ from .codes import (
     SLIPPING,
 )
 from .first_fall import value_at
+from .propagation_series import POINTS
 from .propagation_sharing import spread
 from .propagation_state import UNEVEN, open_contact, rate, stored
 from .tolerances import SLIP_SPEED, SLOW
@@ -57,10 +58,9 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
         parts[k] = time_power(k, h, pace, root)
     for j in range(n):
         uneven |= state.shared[j] == UNEVEN
-        for i in range(3 * j, 3 * j + 3):
-            series.beyond[i] = 0.0
+    series.beyond[:] = 0.0
     if uneven:
-        spread(system, state, series, degree, h, pace, root, series.beyond)
+        spread(system, state, series, degree, h, pace, root)
     for j in range(n):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         before, moves = state.impulse[z], series.changes[x] + series.changes[y] + series.changes[z] > 0
@@ -75,7 +75,7 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
                 for i in range(x, z + 1):
                     state.impulse[i] += series.force[k, i] * part
             for i in range(x, z):
-                state.impulse[i] += series.beyond[i]
+                state.impulse[i] += series.beyond[POINTS - 1, i]
             if state.normal[j] != HELD:  # it is what the spring takes
                 normal_work = stored(system, j, state.indentation[j])
                 normal_work -= stored(system, j, value_at(series.indentation, j, degree, h))
@@ -142,14 +142,10 @@ def record_step(path, points, clock, series, state, h, degree, pace, root):
                 rest = 0.0
                 for k in range(degree + 1):
                     rest += series.force[k, i] * (time_power(k, h, pace, root) - time_power(k, s, pace, root))
-                rest += series.beyond[i] * (1.0 - part / POINTS)
+                rest += series.beyond[POINTS - 1, i] - series.beyond[part - 1, i]
                 path[points, 1 + m + i] = state.impulse[i] - rest
             points += 1
     return record(path, points, clock + time_power(NONE_YET, h, pace, root), state)
-
-
-POINTS = 4
-"""Points recorded on a step."""
 
 
 STRAIGHT = np.int64(1)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FloatRows, Floats, Integers
+from ..._compile.declared import FloatRows, Integers
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm, least_norms
@@ -23,6 +23,9 @@ from .tolerances import NEGLIGIBLE
 ORDER, SHORT = np.int64(24), np.int64(2)
 """Of the series; what is left of it where a slip runs straight at zero."""
 
+POINTS = 4
+"""Points recorded on a step."""
+
 
 class Series(NamedTuple):
     """Coefficients, the order along the first axis.
@@ -32,7 +35,8 @@ class Series(NamedTuple):
         speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| (of ρ where slip begins) and v_t/|v_t|.
         power: (K + 2, n) of what is raised to the power η, and then of the power.
         changes: (3n,) 1 for the velocities that change.
-        beyond: (3n,) what impulses of the step are beyond those of the forces, see `spread`.
+        beyond: (POINTS, 3n) by how much impulses are beyond those of the forces at points of the step, see
+            `spread`.
     """
 
     v: FloatRows
@@ -42,7 +46,7 @@ class Series(NamedTuple):
     unit: FloatRows
     power: FloatRows
     changes: Integers
-    beyond: Floats
+    beyond: FloatRows
 
 
 @inlined
@@ -56,7 +60,7 @@ def new_series(order, n):
         np.zeros((order + 1, 2 * n)),
         np.zeros((order + 2, n)),
         np.zeros(3 * n, dtype=np.int64),
-        np.zeros(3 * n),
+        np.zeros((POINTS, 3 * n)),
     )
 
 

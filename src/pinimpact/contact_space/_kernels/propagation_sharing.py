@@ -31,7 +31,10 @@ CLEAR = 1e-6
 APPROACHES, TURNS = 30, 8
 """Mechanisms from which the limit is approached, and steps of Newton's method at it, at most."""
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
+LOOKS = 6
+"""How often in a step it is looked whether friction still holds."""
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 NODES, WEIGHTS = 0.5 + 0.5 * NODES, 0.5 * WEIGHTS
 
 
@@ -99,7 +102,7 @@ def holds_now(system, state, p):
 def _creep(rows, bound, load, y, v):
     """Find the acceleration y (r,) that is left, v (3m,) at the contacts, by (14.10); tell whether any moves.
 
-    The bounds (m,) and what is held against, (r,), are brought to parts of the largest bound.
+    They are given from nearby, or zero. The bounds (m,) and what is held against, (r,), are brought to parts of the largest bound.
     """
     m, strongest = len(bound), TINY
     for c in range(m):
@@ -108,14 +111,13 @@ def _creep(rows, bound, load, y, v):
         bound[c] /= strongest
     for k in range(len(load)):
         load[k] /= strongest
-        y[k] = 0.0
-    for i in range(3 * m):
-        v[i] = 0.0
     none, soft = np.zeros(m), np.zeros(m, dtype=np.bool_)
-    springs, creep = Springs(none, none, none, none, 1.0), COARSE
-    while creep >= NEGLIGIBLE:
-        minimize(rows, bound, creep, springs, soft, none, 0.0, load, y, v)
-        creep *= FINER
+    springs = Springs(none, none, none, none, 1.0)
+    if not minimize(rows, bound, NEGLIGIBLE, springs, soft, none, 0.0, load, y, v):
+        y[:], v[:], creep = 0.0, 0.0, COARSE
+        while creep >= NEGLIGIBLE:
+            minimize(rows, bound, creep, springs, soft, none, 0.0, load, y, v)
+            creep *= FINER
     for c in range(m):
         if math.hypot(v[3 * c], v[3 * c + 1]) >= NEGLIGIBLE:
             return True
@@ -156,14 +158,14 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]
     bounds, held = _loads_of(system, at, rows, series, degree)
-    bound, load, y, v = np.empty(m), np.empty(r), np.empty(r), np.empty(3 * m)
+    bound, load, y, v = np.empty(m), np.empty(r), np.zeros(r), np.zeros(3 * m)
     d, excess, s = np.zeros(r), np.empty(degree + 1), NEVER
     slips, friction = np.zeros(m, dtype=np.bool_), np.zeros((m, 2))
-    for node in range(len(NODES) + 1):
-        s = reach * NODES[node] if node < len(NODES) else reach
+    for node in range(1, LOOKS + 1):
+        s = reach * node / LOOKS
         if _creep_at(rows, bounds, held, degree, s, bound, load, y, v):
             break
-        if node == len(NODES):
+        if node == LOOKS:
             return NEVER
     for approach in range(APPROACHES):
         length = 0.0
@@ -282,36 +284,42 @@ def _slope_at(rows, i, degree, s):
 
 
 @inlined
-def spread(system, state, series, degree, h, pace, root, beyond):
-    """Fill impulses (3n,) of shared friction in a step beyond those of the series, which may be out of bounds.
+def spread(system, state, series, degree, h, pace, root):
+    """Fill `beyond` of the series: what impulses of shared friction are, where it leaves its bounds in (14.4).
 
-    They are those of creep, (14.10), at Gauss' nodes, less what would change velocities.
+    They are those of creep, (14.10), at Gauss' nodes of a few parts of the step, less what would change
+    velocities.
     """
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]
     bounds, held = _loads_of(system, at, rows, series, degree)
-    bound, load, y, v = np.empty(m), np.empty(r), np.empty(r), np.empty(3 * m)
-    more, moves = np.zeros(3 * m), np.empty(r)
-    for node in range(len(NODES)):
-        s = h * NODES[node]
-        part = WEIGHTS[node] * h * pace * (2.0 * pace * s if root else 1.0)
-        strongest = TINY
-        for c in range(m):
-            strongest = max(strongest, value_at(bounds, c, degree, s))
-        _creep_at(rows, bounds, held, degree, s, bound, load, y, v)
-        for c in range(m):
-            speed = max(math.hypot(v[3 * c], v[3 * c + 1]), NEGLIGIBLE)
-            for a in range(2):
-                pull = strongest * bound[c] * v[3 * c + a] / speed
-                more[3 * c + a] -= part * (pull + value_at(series.force, 3 * at[c] + a, degree, s))
-    gram, pushed = np.zeros((r, r)), np.zeros(r)
+    bound, load, y, v = np.empty(m), np.empty(r), np.zeros(r), np.zeros(3 * m)
+    more, pushed, moves, gram = np.empty(3 * m), np.empty(r), np.empty(r), np.zeros((r, r))
     for i in range(3 * m):
-        for k in range(r):
-            pushed[k] += rows[i, k] * more[i]
+        for a in range(r):
             for b in range(r):
-                gram[k, b] += rows[i, k] * rows[i, b]
-    least_norm(gram, pushed, EXACT, moves, np.empty((0, r)))
-    for i in range(3 * m):
-        for k in range(r):
-            more[i] -= rows[i, k] * moves[k]
-        beyond[3 * at[i // 3] + i % 3] = more[i]
+                gram[a, b] += rows[i, a] * rows[i, b]
+    parts = len(series.beyond)
+    for part in range(parts):
+        more[:], pushed[:] = 0.0, 0.0
+        for node in range(len(NODES)):
+            s = h * (part + NODES[node]) / parts
+            weight = WEIGHTS[node] * h / parts * pace * (2.0 * pace * s if root else 1.0)
+            strongest = TINY
+            for c in range(m):
+                strongest = max(strongest, value_at(bounds, c, degree, s))
+            _creep_at(rows, bounds, held, degree, s, bound, load, y, v)
+            for c in range(m):
+                speed = max(math.hypot(v[3 * c], v[3 * c + 1]), NEGLIGIBLE)
+                for a in range(2):
+                    pull = strongest * bound[c] * v[3 * c + a] / speed
+                    more[3 * c + a] -= weight * (pull + value_at(series.force, 3 * at[c] + a, degree, s))
+        for i in range(3 * m):
+            for k in range(r):
+                pushed[k] += rows[i, k] * more[i]
+        least_norm(gram, pushed, EXACT, moves, np.empty((0, r)))
+        for i in range(3 * m):
+            place = 3 * at[i // 3] + i % 3
+            series.beyond[part, place] = more[i] - dot(rows[i], moves)
+            if part > 0:
+                series.beyond[part, place] += series.beyond[part - 1, place]

@@ -88,6 +88,8 @@ def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, for
 def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
     """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
 
+    Return whether it is found.
+
     Args:
         rows: (3n, r) J.
         bound: (n,) the factors of H.
@@ -122,7 +124,7 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         for k in range(r):
             off = max(off, abs(gradient[k]))
         if off <= LITTLE * creep or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
-            return
+            return True
         last = off
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)
         cholesky(matrix)
@@ -138,6 +140,7 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
             y[k] += far * way[k]
         for i in range(3 * n):
             v[i] += far * change[i]
+    return False
 
 
 @inlined
