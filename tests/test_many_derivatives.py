@@ -23,6 +23,7 @@ from pinimpact import (
 from .robot_cases import load, random_state, two_arms
 from .scene_models import box_on
 from .test_impact_derivatives import MOVING, Decaying, slope
+from .test_landings import landing_by_steps
 
 FEET = ("FL_FOOT", "HL_FOOT", "FR_FOOT", "HR_FOOT")
 
@@ -249,16 +250,6 @@ def test_corners_of_a_box(mu, e):
     assert np.allclose(d.dv_dv, by_v, atol=1e-8)
 
 
-def test_what_is_integrated_by_steps_has_no_derivative():
-    model, contacts = box_on(4, mu=0.3)
-    contacts = [replace(contact, restitution=0.4, law="energetic") for contact in contacts]
-    q, v = np.array([0, 0, 0.1, 0, 0, 0, 1.0]), np.array([0.3, 0.2, -1.0, 0.3, 0.2, 0.1])
-    assert "steps" in " ".join(impact(model, model.createData(), q, v, contacts).solution.notes)
-    d = impact_derivatives(model, model.createData(), q, v, contacts)
-    assert np.isnan(d.dv_dv).all()
-    assert d.boundary & Boundary.EVENTS_COINCIDE
-
-
 def test_a_foot_at_rest_has_sides():
     model, data, q, v = quadruped(7)
     strikes, rests = CONTACTS["floor and slope"][0], Contact(FEET[3], Plane(), 0.6, 0.0, "energetic")
@@ -391,11 +382,9 @@ def test_derivatives_in_contact_space_obey_the_scales_and_differences(seed, coun
 
 
 def test_derivatives_of_what_is_integrated_by_steps_are_not_known():
-    corner = np.array([[x, y, -0.05] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
-    jacobian = np.concatenate([np.hstack([np.eye(3), -pin.skew(point)]) for point in corner])
-    inverse = np.diag([1.0] * 3 + [600.0] * 3)
-    velocity = (jacobian @ [0.5, 0.1, -1.0, 0.3, 0.2, 0.1]).reshape(4, 3)
-    problem = ImpactProblem(jacobian @ inverse @ jacobian.T, velocity, 0.5, 0.5, "energetic")
-    d = solve_impact(problem, derivatives=True).derivatives
+    problem = ImpactProblem(*landing_by_steps(), 0.8, 0.5, "energetic")
+    solution = solve_impact(problem, derivatives=True)
+    assert "steps" in solution.notes[-1]
+    d = solution.derivatives
     assert d.boundary == Boundary.EVENTS_COINCIDE
     assert np.isnan(d.dP_dv).all()

@@ -87,13 +87,17 @@ def settle(system, state, series):
         return unknown, inverse, weight, False
     if shared and (fits or holds_now(system, state, p)):
         return unknown, inverse, weight, True
-    known = True
-    if not fits:
-        _admit(system, state, unit, cap, p, heaviest, not root, forces)
+    moves = not fits and _admit(system, state, unit, cap, p, heaviest, not root, forces)
     if not fits and not root:
         align(system, state, unit, weight, series)
-    for j in range(n):  # slips of one body begin in directions of one rigid motion
-        known = known and not (shared and tangent[j] == SLIPPING and stuck[j] == 1 and state.fresh[j] == 1)
+    known = True
+    for j in range(n):
+        if shared and stuck[j] == 1:
+            if not moves:
+                state.share[2 * j], state.share[2 * j + 1] = 0.0, 0.0
+                tangent[j] = STUCK
+            # slips of one body begin in directions of one rigid motion
+            known = known and not (tangent[j] == SLIPPING and state.fresh[j] == 1)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     return unknown, inverse, weight, known
 

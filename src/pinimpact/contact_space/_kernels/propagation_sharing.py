@@ -15,7 +15,7 @@ from ..._compile.jit import inlined
 from ..._numeric.least_norm import least_norm
 from ..._numeric.products import dot
 from ..._numeric.semidefinite import factor
-from ..._numeric.tolerances import EXACT, NOISE, TINY
+from ..._numeric.tolerances import EXACT, TINY
 from .codes import STUCK
 from .first_fall import NEVER, first_fall, value_at
 from .propagation_stages import Springs, minimize
@@ -161,32 +161,24 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
     bound, load, y, v = np.empty(m), np.empty(r), np.zeros(r), np.zeros(3 * m)
     d, excess, s = np.zeros(r), np.empty(degree + 1), NEVER
     slips, friction = np.zeros(m, dtype=np.bool_), np.zeros((m, 2))
-    for node in range(1, LOOKS + 1):
-        s = reach * node / LOOKS
+    beyond = False
+    for look in range(1, LOOKS + 1):
+        s = reach * look / LOOKS
         if _creep_at(rows, bounds, held, degree, s, bound, load, y, v):
+            _excess(bounds, held, degree, y, v, d, excess)
+            beyond = first_fall(excess, degree, s, 0.0, work) < NEVER
+        if beyond:
             break
-        if node == LOOKS:
-            return NEVER
+    if not beyond:
+        return NEVER
     for approach in range(APPROACHES):
-        length = 0.0
-        for k in range(r):
-            length += y[k] * y[k]
-        length = math.sqrt(length)
-        if approach > 0 and not length > CLEAR:  # no more is known of who slips
-            break
-        for k in range(r):
-            d[k] = y[k] / length
+        if not _excess(bounds, held, degree, y, v, d, excess) > CLEAR and approach > 0:
+            break  # no more is known of who slips
         for c in range(m):
             slips[c] = math.hypot(v[3 * c], v[3 * c + 1]) >= NEGLIGIBLE
             for a in range(2):
                 friction[c, a] = bound[c] * v[3 * c + a] / NEGLIGIBLE
-        largest = 0.0
-        for k in range(degree + 1):
-            excess[k] = -dot(held[k], d)
-            for c in range(m):
-                excess[k] += bounds[k, c] * math.hypot(v[3 * c], v[3 * c + 1]) / length
-            largest = max(largest, abs(excess[k]))
-        before, s = s, min(first_fall(excess, degree, s, NOISE * largest, work), s)
+        before, s = s, min(first_fall(excess, degree, s, 0.0, work), s)
         if not before - s > EXACT * reach:
             break
         _creep_at(rows, bounds, held, degree, s, bound, load, y, v)
@@ -202,6 +194,19 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
             state.direction[2 * j], state.direction[2 * j + 1] = ax / speed, ay / speed
             roots[j, 2] = s
     return s
+
+
+@inlined
+def _excess(bounds, held, degree, y, v, d, excess):
+    """Fill the direction d of what is left, y, and the series of Σ μF|Ld| − b·d; return |y|."""
+    length = math.sqrt(dot(y, y))
+    for k in range(len(y)):
+        d[k] = y[k] / length
+    for k in range(degree + 1):
+        excess[k] = -dot(held[k], d)
+        for c in range(bounds.shape[1]):
+            excess[k] += bounds[k, c] * math.hypot(v[3 * c], v[3 * c + 1]) / length
+    return length
 
 
 @inlined
