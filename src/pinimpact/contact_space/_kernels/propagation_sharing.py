@@ -31,10 +31,14 @@ CLEAR = 1e-6
 APPROACHES, TURNS = 30, 8
 """Mechanisms from which the limit is approached, and steps of Newton's method at it, at most."""
 
+FIRM = 1e-2
+"""Part of the largest of LᵀL from which on impulses of creep are corrected by what they miss, beside which
+a correction is small; where it is less, creep is what moves, by a part `NEGLIGIBLE`."""
+
 LOOKS = 6
 """How often in a step it is looked whether friction still holds."""
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 NODES, WEIGHTS = 0.5 + 0.5 * NODES, 0.5 * WEIGHTS
 
 
@@ -322,7 +326,7 @@ def spread(system, state, series, degree, h, pace, root):
         for i in range(3 * m):
             for k in range(r):
                 pushed[k] += rows[i, k] * more[i]
-        least_norm(gram, pushed, EXACT, moves, np.empty((0, r)))
+        least_norm(gram, pushed, FIRM, moves, np.empty((0, r)))
         for i in range(3 * m):
             place = 3 * at[i // 3] + i % 3
             series.beyond[part, place] = more[i] - dot(rows[i], moves)
