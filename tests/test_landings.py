@@ -98,15 +98,22 @@ def test_the_recorded_path_of_a_flat_landing_obeys_the_laws(u, friction):
     assert (np.hypot(steps[:, :, 0], steps[:, :, 1]) - friction * steps[:, :, 2]).max() <= 1e-12
 
 
+def grid(count):
+    """A square of points."""
+    sides = np.linspace(-0.05, 0.05, round(np.sqrt(count)))
+    return [(x, y) for x in sides for y in sides]
+
+
 @pytest.mark.parametrize("count", [4, 9])
-@pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, 6])
+@pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, "in a plane"])
 def test_a_landing_from_event_to_event_and_by_steps(count, seed):
     """Slip that begins at all corners at once, in the series and in the implicit steps of (14.10)."""
-    rng = np.random.default_rng([9, seed])
-    sides = np.linspace(-0.05, 0.05, round(np.sqrt(count)))
-    w, jacobian = body([(x, y) for x in sides for y in sides], 0.05)
-    u = np.append(rng.uniform(-0.4, 0.4, 2), [-1.0, *rng.uniform(-0.5, 0.5, 3)])
-    mu, e = rng.uniform(0.2, 1.0), rng.uniform(0.3, 0.9)
+    w, jacobian = body(grid(count), 0.05)
+    u, mu, e = np.array([0.3, 0.0, -1.0, 0.0, 0.0, 0.0]), 0.4, 0.6
+    if seed != "in a plane":
+        rng = np.random.default_rng([9, seed])
+        u = np.append(rng.uniform(-0.4, 0.4, 2), [-1.0, *rng.uniform(-0.5, 0.5, 3)])
+        mu, e = rng.uniform(0.2, 1.0), rng.uniform(0.3, 0.9)
     problem = ImpactProblem(w, (jacobian @ u).reshape(-1, 3), mu, e, "energetic")
     solution = solve_impact(problem)
     assert solution.events > 0

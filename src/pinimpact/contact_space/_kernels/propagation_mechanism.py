@@ -80,7 +80,7 @@ def fill_mechanism(system, state, response, ties, force, mechanism):
 
 @inlined
 def turn_together(system, state, series, k, pace, ties, answers, mechanism):
-    """Find coefficients k of directions, and k − 1 of ρ. (14.13)
+    """Find coefficients k of directions, and k − 1 of ρ. (14.14)
 
     Args:
         k: Order, above zero.

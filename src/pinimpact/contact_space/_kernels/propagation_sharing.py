@@ -2,7 +2,7 @@
 
 What contacts that stick, with W = L Lᵀ in their tangential rows, hold against is b = −Lᵀf; how they share it
 changes nothing of the motion. They can hold while b·d ≤ Σ μ_j F_j |L_j d| for every d, a velocity in the
-columns of L. (theory.md, section 14)
+columns of L. (14.13)
 """
 
 from __future__ import annotations
@@ -86,27 +86,21 @@ def holds_now(system, state, p):
     """Return whether friction of the contacts that stick can hold against the other forces p (3n,)."""
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]
-    bound, load, y, v = np.empty(m), np.zeros(r), np.zeros(r), np.zeros(3 * m)
-    right, block, known = np.empty(3 * m), np.zeros((3 * m, r)), np.zeros(r)
+    bound, load, push = np.empty(m), np.empty(r), np.zeros(3 * m)
     for c in range(m):
         bound[c] = max(system.friction[at[c]] * p[3 * at[c] + 2], 0.0)
-        for a in range(3):
-            right[3 * c + a] = 0.0
-            for i in range(len(p) if a < 2 else 0):
-                right[3 * c + a] += system.w[3 * at[c] + a, i] * p[i]
-            for k in range(r):
-                block[3 * c + a, k] = rows[3 * c + a, k]
-    least_norm(block, right, NEGLIGIBLE, known, np.empty((0, r)))
-    for k in range(r):
-        load[k] = known[k]
-    return not _creep(rows, bound, load, y, v)
+        for a in range(2):
+            push[3 * c + a] = dot(system.w[3 * at[c] + a], p)
+    least_norm(rows, push, NEGLIGIBLE, load, np.empty((0, r)))
+    return not _creep(rows, bound, load, np.zeros(r), np.zeros(3 * m))
 
 
 @inlined
 def _creep(rows, bound, load, y, v):
     """Find the acceleration y (r,) that is left, v (3m,) at the contacts, by (14.10); tell whether any moves.
 
-    They are given from nearby, or zero. The bounds (m,) and what is held against, (r,), are brought to parts of the largest bound.
+    They are given from nearby, or zero. The bounds (m,) and what is held against, (r,), are brought to parts
+    of the largest bound.
     """
     m, strongest = len(bound), TINY
     for c in range(m):
@@ -122,10 +116,16 @@ def _creep(rows, bound, load, y, v):
         while creep >= NEGLIGIBLE:
             minimize(rows, bound, creep, springs, soft, none, 0.0, load, y, v)
             creep *= FINER
+    moves = False
     for c in range(m):
-        if math.hypot(v[3 * c], v[3 * c + 1]) >= NEGLIGIBLE:
-            return True
-    return False
+        moves = moves or _slips(v, c)
+    return moves
+
+
+@inlined
+def _slips(v, c):
+    """Whether what is left, v (3m,), moves a contact."""
+    return math.hypot(v[3 * c], v[3 * c + 1]) >= NEGLIGIBLE
 
 
 @inlined
@@ -157,7 +157,7 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
     """Return until when shared friction holds, within a reach; `NEVER` if it does so beyond.
 
     That time is in roots[j, 2] of the contacts j that begin to slip, in directions that the state takes. The
-    first s at which b·d exceeds Σ μF|Ld| for some d is found from beyond: the d of one s gives the next.
+    first s at which (14.13) fails for some d is found from beyond: the d of one s gives the next.
     """
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]
@@ -179,7 +179,7 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
         if not _excess(bounds, held, degree, y, v, d, excess) > CLEAR and approach > 0:
             break  # no more is known of who slips
         for c in range(m):
-            slips[c] = math.hypot(v[3 * c], v[3 * c + 1]) >= NEGLIGIBLE
+            slips[c] = _slips(v, c)
             for a in range(2):
                 friction[c, a] = bound[c] * v[3 * c + a] / NEGLIGIBLE
         before, s = s, min(first_fall(excess, degree, s, 0.0, work), s)
@@ -254,7 +254,8 @@ def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
             if not speed > 0.0:
                 return start
             ux, uy = ax / speed, ay / speed
-            most, slope = value_at(bounds, c, degree, s) / strongest, _slope_at(bounds, c, degree, s) / strongest
+            most = value_at(bounds, c, degree, s) / strongest
+            slope = _slope_at(bounds, c, degree, s) / strongest
             for k in range(r):
                 along = rows[3 * c, k] * ux + rows[3 * c + 1, k] * uy
                 across = rows[3 * c + 1, k] * ux - rows[3 * c, k] * uy
@@ -275,12 +276,12 @@ def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
                 friction[c, 0] += change[places[c]]
                 friction[c, 1] += change[places[c] + 1]
         s += change[last]
-        if not abs(s - start) <= NEGLIGIBLE ** 0.5 * reach:
+        if not abs(s - start) <= NEGLIGIBLE**0.5 * reach:
             d[:] = direction
             return start
         if largest <= EXACT:
             break
-    return max(s, 0.0)
+    return min(max(s, 0.0), reach)
 
 
 @inlined
@@ -294,7 +295,7 @@ def _slope_at(rows, i, degree, s):
 
 @inlined
 def spread(system, state, series, degree, h, pace, root):
-    """Fill `beyond` of the series: what impulses of shared friction are, where it leaves its bounds in (14.4).
+    """Fill `beyond` of the series: what impulses of shared friction are where (14.4) leaves the bounds.
 
     They are those of creep, (14.10), at Gauss' nodes of a few parts of the step, less what would change
     velocities.
