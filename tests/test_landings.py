@@ -98,6 +98,23 @@ def test_the_recorded_path_of_a_flat_landing_obeys_the_laws(u, friction):
     assert (np.hypot(steps[:, :, 0], steps[:, :, 1]) - friction * steps[:, :, 2]).max() <= 1e-12
 
 
+@pytest.mark.parametrize("seed", [6, 11])
+def test_shared_friction_of_an_uneven_plate_keeps_to_its_bounds(seed):
+    """Some of its motions are held a thousand times more weakly than others."""
+    rng = np.random.default_rng(seed)
+    a, b, h = rng.uniform(0.02, 0.2, 3)
+    corners = np.array([(x * a, y * b, -h) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+    corners += 10 ** rng.uniform(-3, -2) * h * rng.normal(size=(9, 3))
+    jacobian = np.vstack([np.hstack([np.eye(3), -pin.skew(corner)]) for corner in corners])
+    inertia = np.array([1.0, 1.0, 1.0, (b * b + h * h) / 3.0, (a * a + h * h) / 3.0, (a * a + b * b) / 3.0])
+    friction, start = rng.uniform(0.2, 0.6), (jacobian @ [0, 0, -1.0, 0, 0, 0]).reshape(-1, 3)
+    problem = ImpactProblem(jacobian / inertia @ jacobian.T, start, friction, 0.7, "energetic")
+    solution = solve_impact(problem, record=True)
+    assert solution.events > 0
+    steps = np.diff(solution.path.impulse, axis=0)
+    assert (np.hypot(steps[:, :, 0], steps[:, :, 1]) - friction * steps[:, :, 2]).max() <= 1e-12
+
+
 def grid(count):
     """A square of points."""
     sides = np.linspace(-0.05, 0.05, round(np.sqrt(count)))

@@ -169,8 +169,8 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
     for look in range(1, LOOKS + 1):
         s = reach * look / LOOKS
         if _creep_at(rows, bounds, held, degree, s, bound, load, y, v):
-            _excess(bounds, held, degree, y, v, d, excess)
-            beyond = first_fall(excess, degree, s, 0.0, work) < NEVER
+            beyond = _excess(bounds, held, degree, y, v, d, excess) > 0.0
+            beyond = beyond and first_fall(excess, degree, s, 0.0, work) < NEVER
         if beyond:
             break
     if not beyond:
@@ -204,6 +204,8 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
 def _excess(bounds, held, degree, y, v, d, excess):
     """Fill the direction d of what is left, y, and the series of Σ μF|Ld| − b·d; return |y|."""
     length = math.sqrt(dot(y, y))
+    if not length > 0.0:
+        return length
     for k in range(len(y)):
         d[k] = y[k] / length
     for k in range(degree + 1):
