@@ -499,3 +499,24 @@ def test_a_robot_of_one_joint(friction, law):
     assert d.dv_dv[0, 0] == pytest.approx(-0.5, abs=1e-15)
     assert d.dv_drestitution[0] == pytest.approx(3.0, abs=1e-14)
     assert d.dv_dq[0, 0] == d.dv_dfriction[0] == 0.0
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_robot_that_falls_straight_begins_to_slip_to_either_side(held):
+    # along the floor its foot moves by rounding alone, which is no direction of slip
+    robot = pinimpact.load_robot("solo12")
+    model, data = robot.model, robot.data
+    foot = pinimpact.Contact("FL_FOOT", pinimpact.Plane(), friction=0.2, restitution=0.3)
+    way = {"locked": ["FL_HAA"]} if held else {}
+    q = pin.integrate(model, robot.q0, np.array([0.0] * 3 + [0.3, 0.2, 0.1] + [0.1] * 12))
+    v = np.zeros(18)
+    v[:3] = pin.Quaternion(q[3:7]).matrix().T @ [0.0, 0.0, -1.0]
+    found = pinimpact.impact_derivatives(model, data, q, v, foot, **way)
+    assert found.boundary == pinimpact.Boundary.START_AT_REST
+    assert np.isnan(found.dv_dv).any()
+    for side in (1, -1):
+        one = pinimpact.impact_derivatives(model, data, q, v, foot, side=side, **way)
+        h = side * 1e-7
+        ends = [pinimpact.impact(model, data, q, v + h * e, foot, **way).v for e in np.eye(18)]
+        expected = (np.array(ends) - one.v).T / h
+        assert np.abs(one.dv_dv - expected).max() < 1e-3 * np.abs(expected).max()

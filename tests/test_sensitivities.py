@@ -186,6 +186,35 @@ def test_intervals_are_halved_down_to_a_rounding_of_time():
     assert np.isfinite(slopes.along(slopes.initial(), step, step.end)).all()
 
 
+def test_slip_without_speed_has_no_derivative():
+    # as in a step between two impacts that is too short for speed to show
+    scene = Scene(point("block"), [Contact("block centre", Plane(), 0.2, name="block")])
+    run = simulate(scene, np.zeros(3), np.array([1.5, 0.0, 0.0]), 0.5, sensitivities="state")
+    slopes = run.sensitivities._slopes
+    still = replace(run.sensitivities._steps[0], v=np.zeros(3))
+    still.coefficients[:] = 0.0
+    assert np.isnan(slopes.along(slopes.initial(), still, still.end)).all()
+    assert slopes.saltation.boundary & Boundary.EVENTS_COINCIDE
+
+
+@pytest.mark.parametrize("friction", [0.2, 5.0])
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_a_robot_that_falls_straight_has_a_derivative_if_it_sticks(scheme, friction):
+    # slip begins at the impact, from a velocity along the floor that is zero but for rounding
+    model, _ = load("solo12")
+    q = pin.integrate(
+        model, pinimpact.load_robot("solo12").q0, np.array([0, 0, 0.05, 0.3, 0.2, 0.1] + [0.0] * 12)
+    )
+    foot = Contact(FRAMES["solo12"], Plane(), friction, 0.3, radius=0.016, name="foot")
+    q[2] += 0.02 - foot.gap(model, model.createData(), q)
+    run = simulate(Scene(model, [foot], **FREE), q, np.zeros(18), 0.08, scheme=scheme, sensitivities="state")
+    (impact,) = run.impacts
+    assert (impact.solution.segments[-1].mode == "stick") == (friction == 5.0)
+    found = run.sensitivity(0.08)
+    assert np.isnan(found.state).any() == (friction == 0.2)
+    assert bool(found.boundary & Boundary.START_AT_REST) == (friction == 0.2)
+
+
 def test_a_block_slides_up_and_back():
     # up a slope too steep to stick on
     slope, mu, speed = 0.5, 0.2, 1.0

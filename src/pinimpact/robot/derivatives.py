@@ -392,9 +392,12 @@ def _by_matrices(
     matrices, (e, slope) = contact_matrices(model, data, q, contact, held, locked), restitution
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
+    velocity, scale = matrices.velocity(v), matrices.velocity_scale(v)
+    if np.hypot(*velocity[:2]) <= kernel.AT_REST * scale:
+        velocity[:2] = 0.0
     problem = ImpactProblem(
-        *(matrices.delassus, matrices.velocity(v), contact.friction, e, contact.law),
-        velocity_scale=matrices.velocity_scale(v),
+        *(matrices.delassus, velocity, contact.friction, e, contact.law),
+        velocity_scale=scale,
         factor=matrices.factor,
         factor_scale=matrices.factor_scale,
     )

@@ -21,7 +21,7 @@ from ..errors import InputError
 from ..robot.corner_motion import Corner, closest_corners
 from ..robot.derivatives import derivatives_at_point, slope_of_restitution
 from ..robot.many_derivatives import ManySlopes
-from ..robot.matrices import contact_matrices
+from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.placed_robot import PlacedRobot
 from ..robot.shape_pair import contact_now
@@ -138,11 +138,22 @@ class ImpactJumps:
             lasting = lasting and replace(lasting, **other)
         point, rest = (contact, lasting, swapped), (self.held, self.locked)
         d = derivatives_at_point(self.model, self.data, record.q, record.v_before, point, *rest)
-        guard = contact_matrices(self.model, self.data, record.q, contact).jacobian[2]
+        matrices = contact_matrices(self.model, self.data, record.q, contact)
+        by_state, guard = np.hstack([d.dv_dq, d.dv_dv]), matrices.jacobian[2]
         by_restitution = np.zeros(nv) if rests else d.dv_drestitution
         flags = d.boundary | (Boundary.LAST_BOUNCE if rests else Boundary.NONE)
+        if contact.friction > 0.0 and self._begins_to_slip(record, matrices):
+            flags |= Boundary.START_AT_REST
+            by_state[:] = np.nan
         by = {"friction": d.dv_dfriction, "restitution": by_restitution}
-        return SingleJump(record, number, np.hstack([d.dv_dq, d.dv_dv]), by, guard, flags, d.v)
+        return SingleJump(record, number, by_state, by, guard, flags, d.v)
+
+    def _begins_to_slip(self, record: ImpactRecord, matrices: ContactMatrices) -> bool:
+        """Whether a contact slips in an impact and has not slipped before, but for the error of a step."""
+        work, rows = self.dynamics.work, matrices.jacobian[:2]
+        error = work.atol + work.rtol * np.abs(record.v_before).max()
+        slow = np.hypot(*matrices.velocity(record.v_before)[:2]) <= error * np.abs(rows).sum(axis=1).max()
+        return bool(slow) and all(segment.mode == "slip" for segment in record.solution.segments)
 
     def _of_limit(self, k: int, record: ImpactRecord, resting: bool) -> SingleJump:
         """P = −(1 + e) u/w of a joint limit that approaches at u, with w = W₃₃."""

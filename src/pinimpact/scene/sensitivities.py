@@ -195,12 +195,19 @@ class MotionSlopes:
 
     def _across(self, x: Array, step: DenseStep, start: float, end: float) -> Array:
         """Return changes at the end of an interval, which is halved down to the tolerance."""
+        if np.isnan(x).all():
+            return x
         h = end - start
+        shortest = h <= _shortest(step)
         for rule in RULES:
             nodes = self._slopes_within(step, start + h * rule.nodes)
-            found, error = self._collocate(rule, nodes, h, x)
-            if error <= self._rtol or h <= _shortest(step):
-                return found
+            if np.isfinite(nodes.by_state).all():
+                found, error = self._collocate(rule, nodes, h, x)
+                if error <= self._rtol or shortest:
+                    return found
+        if shortest:  # slip has no speed in it
+            self.saltation.boundary |= Boundary.EVENTS_COINCIDE
+            return np.full_like(x, np.nan)
         middle = start + 0.5 * h
         return self._across(self._across(x, step, start, middle), step, middle, end)
 

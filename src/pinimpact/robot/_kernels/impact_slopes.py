@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.tolerances import EPS
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED
 from ...contact_space._kernels.derivatives import SLOPES, differentiate_into
 from ...contact_space._kernels.path import MAX_MOVES, SCRATCH
@@ -36,6 +39,10 @@ from .tree import factor, solve, solve_mass
 SURFACE, FRICTION, RESTITUTION, VALUE, MORE = 0, 6, 7, 8, 9
 """Columns of the results after those of q and q̇: the surface's velocity and spin, μ and e, and the values
 themselves. Rows are those of q̇⁺ and, in world axes, of P."""
+
+AT_REST = 32.0 * EPS
+"""Part of the terms that a contact velocity is the sum of below which slip before the impact is none: it has
+no direction but that of rounding, and what begins to slip has no slopes across it."""
 
 
 @declared(
@@ -187,6 +194,8 @@ def robot_slopes(work, q, v, e, slope, by_q, out):
     )
     w11, w12, w13, w22, w23, w33 = w
     v1, v2, v3 = relative
+    if math.hypot(v1, v2) <= AT_REST * scale:
+        v1 = v2 = 0.0
     differentiate_into(
         *(0, w11, w12, w13, w22, w23, w33, v1, v2, v3, work.friction, e, work.law, scale),
         *(singular[:known], np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES + 1, MOVE))),
