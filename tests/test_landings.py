@@ -131,7 +131,31 @@ def test_a_landing_from_event_to_event_and_by_steps(count, seed):
         rng = np.random.default_rng([9, seed])
         u = np.append(rng.uniform(-0.4, 0.4, 2), [-1.0, *rng.uniform(-0.5, 0.5, 3)])
         mu, e = rng.uniform(0.2, 1.0), rng.uniform(0.3, 0.9)
-    problem = ImpactProblem(w, (jacobian @ u).reshape(-1, 3), mu, e, "energetic")
+    compare_with_steps(ImpactProblem(w, (jacobian @ u).reshape(-1, 3), mu, e, "energetic"))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_stack_that_lands_as_one(seed):
+    """Nothing moves at first where its boxes touch; that slips, or is dragged along, as the floor brakes."""
+    rng = np.random.default_rng([10, seed])
+    (a, b), h, v = rng.uniform(0.05, 0.2, 2), rng.uniform(0.03, 0.1), rng.uniform(-0.5, 0.5, 2)
+    corners = [np.array((x, y, -h)) for x in (-a, a) for y in (-b, b)]
+    floor = [np.hstack([np.eye(3), -pin.skew(r), np.zeros((3, 6))]) for r in corners]
+    above = [r + np.array((0.0, 0.0, 2.0 * h)) for r in corners]
+    between = [
+        np.hstack([-np.eye(3), pin.skew(top), np.eye(3), -pin.skew(bottom)])
+        for top, bottom in zip(above, corners, strict=True)
+    ]
+    jacobian = np.vstack([*floor, *between])
+    inertia = np.array([1.0, 1.0, 1.0, (b * b + h * h) / 3.0, (a * a + h * h) / 3.0, (a * a + b * b) / 3.0])
+    inertia = np.concatenate([inertia, rng.choice([0.3, 1.0, 3.0]) * inertia])
+    start = (jacobian @ np.tile([*v, -1.0, 0.0, 0.0, 0.0], 2)).reshape(-1, 3)
+    mu, e = np.repeat(rng.uniform(0.1, 1.0, 2), 4), np.repeat(rng.uniform(0.2, 0.9, 2), 4)
+    compare_with_steps(ImpactProblem(jacobian / inertia @ jacobian.T, start, mu, e, "energetic"))
+
+
+def compare_with_steps(problem):
+    """Compare an impact that is followed from event to event with the same by steps."""
     solution = solve_impact(problem)
     assert solution.events > 0
     by_steps = _propagate_in_steps(many_inputs(problem), 1.0, False, 1e-10)

@@ -19,7 +19,7 @@ from .propagation_advance import NO_ROW, advance, record, record_step, time_powe
 from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
-from .propagation_state import TIED, State, System, begins, close, loads, open_contact, stored
+from .propagation_state import RESUMED, State, System, begins, close, loads, open_contact, stored
 from .tolerances import AGREE, NEGLIGIBLE, SAME, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
@@ -219,7 +219,7 @@ def _begins_badly(state, series, h):
     found = False
     for j in range(len(state.normal)):
         if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
-            speed = series.speed[0, j] * h * (h if state.fresh[j] == TIED else 1.0)
+            speed = series.speed[0, j] * h * (1.0 if state.fresh[j] == RESUMED else h)
             if speed < SAME * SLIP_SPEED:
                 state.fresh[j] = 1
                 state.v[3 * j] = SLIP_SPEED * state.direction[2 * j]

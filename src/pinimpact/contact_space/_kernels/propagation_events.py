@@ -10,7 +10,18 @@ from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
 from .propagation_series import ORDER, SHORT
 from .propagation_sharing import limit_of_holding
-from .propagation_state import AT_BOUND, NOT_SHARED, SHARED, TIED, UNEVEN, begins, close, open_contact, stick
+from .propagation_state import (
+    AT_BOUND,
+    LATE,
+    NOT_SHARED,
+    SHARED,
+    TIED,
+    UNEVEN,
+    begins,
+    close,
+    open_contact,
+    stick,
+)
 from .tolerances import NEGLIGIBLE, SAME, SLIP_SPEED, SLOW, STOPS
 
 REACH = 20.0
@@ -124,7 +135,7 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
         guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
     if begins(fresh):  # it begins with s² or s
         guard[0] = 0.0
-    if fresh == TIED:
+    if fresh in (TIED, LATE):
         guard[1] = 0.0
     time = _fall(guard, reach, 0.0, False, work)
     if time < NEVER:

@@ -14,7 +14,7 @@ from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import bounded_unknowns, expand, force_inverse, hold, natural_pace, unknown_after
 from .propagation_sharing import holds_now, mark_shared
 from .propagation_slip_onset import align, begin_at_bound
-from .propagation_state import AT_BOUND, NOT_SHARED, RESUMED, friction_share, loads
+from .propagation_state import AT_BOUND, LATE, NOT_SHARED, RESUMED, friction_share, loads
 from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED
 
 WEIGHED_AHEAD = 0.1
@@ -214,9 +214,12 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
         change = max(change, _press_held(system, state, unit, cap, forces))
         if change <= NEGLIGIBLE:
             break
-    scale, moves = 0.0, False
+    scale, strongest, moves, late = 0.0, 0.0, False, smooth
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
+    for j in range(n):
+        strongest = max(strongest, p[3 * j + 2])
+        late = late and not (loads(state.normal[j]) and state.indentation[j] > 0.0)
     for j in range(n):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         if state.tangent[j] == STUCK:
@@ -230,13 +233,13 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
             slack = (bound - length) * (w[x, x] + w[y, y])
             if fastest > max(NEGLIGIBLE * size, slack):
                 ux, uy = ax / fastest, ay / fastest
-                if length > 0.0:
+                if length > 0.0 and (not late or p[z] > BEGINS * strongest):
                     ux, uy = -forces[x] / length, -forces[y] / length
-                firm = smooth and length > 0.0 and p[z] > BEGINS * heaviest
+                firm = late or (smooth and length > 0.0 and p[z] > BEGINS * heaviest)
                 state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
                 start = 0.0 if firm else SLIP_SPEED
                 state.v[x], state.v[y] = start * ux, start * uy
-                state.fresh[j] = RESUMED if firm else 1
+                state.fresh[j] = LATE if late else (RESUMED if firm else 1)
                 state.tangent[j] = SLIPPING
                 moves = True
             elif bound > 0.0 and length < (1.0 - SAME) * bound:

@@ -17,7 +17,7 @@ from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.products import dot
 from .codes import BOUND, FREE, HELD, OPEN, SLIPPING, STUCK
 from .propagation_mechanism import fill_mechanism, new_mechanism, turn_together
-from .propagation_state import NOT_SHARED, TIED, begins, friction_share, loads, rate
+from .propagation_state import LATE, NOT_SHARED, RESUMED, TIED, begins, friction_share, loads, rate
 from .tolerances import NEGLIGIBLE
 
 ORDER, SHORT = np.int64(24), np.int64(2)
@@ -157,7 +157,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
     fixed, rates = np.empty(len(unknown)), np.empty(n)
     ties, closed = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     count = pressed = 0
-    together = order > 0
+    together, first = order > 0, 0
     for j in range(n):
         rates[j] = 0.0 if state.normal[j] == HELD else rate(system, state.normal[j], j)
         if state.normal[j] != OPEN or state.tangent[j] != FREE:
@@ -167,6 +167,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
             ties[count] = j
             count += 1
             together = together and state.shared[j] != NOT_SHARED and state.fresh[j] == TIED
+            first = 1 if state.fresh[j] == LATE else first
     ties = ties[:count].copy()
     answers = np.zeros((count, 3 * n))
     together = together and count > 0
@@ -185,7 +186,9 @@ def expand(system, state, unknown, inverse, order, pace, series):
                     normal = system.stiffness[j] * indentation[k, j]
             force[k, p + 2] = normal
             if tangent == SLIPPING and begins(state.fresh[j]):
-                _known_direction(state, series, k, j)
+                _known_direction(state, series, max(k - first, 0), j)
+                if first > 0 < k:  # F begins at zero, so that it does not matter yet
+                    unit[k, 2 * j] = unit[k, 2 * j + 1] = 0.0
             elif tangent == SLIPPING:
                 _direction(series, k, j)
             elif tangent == BOUND:
@@ -199,15 +202,15 @@ def expand(system, state, unknown, inverse, order, pace, series):
                     force[k, p] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j]
                     force[k, p + 1] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j + 1]
         hold(system, state, unit[0], unknown, inverse, fixed, force[k])
-        if count > 0 and k == 0:
+        if count > 0 and k == first:
             for c in range(count):
-                answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[0], answers[c])
-                series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[0])
+                answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[k], answers[c])
+                series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[k]) / (k + 1.0)
             if together:
                 _find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
         elif together:
             turn_together(system, state, series, k, pace, ties, answers, mechanism)
-        elif count > 0:
+        elif count > 0 and k > first:
             _turn(system, state, series, k, pace, ties, answers)
         _integrate(system, rates, series, k, pace, root)
     return root
@@ -308,7 +311,7 @@ def _turn(system, state, series, k, pace, ties, answers):
     for c in range(count):
         j = ties[c]
         dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
-        last = k - 1 if state.fresh[j] == TIED else k
+        last = k if state.fresh[j] == RESUMED else k - 1
         along = across = 0.0  # of coefficient `last` of v_t/s² or v_t/s, without that of ρ
         for i in range(last):
             ux, uy = unit[last - i, 2 * j], unit[last - i, 2 * j + 1]
@@ -327,16 +330,17 @@ def _turn(system, state, series, k, pace, ties, answers):
                 for i in range(m):
                     total += w[row, i] * answers[other, i]
                 matrix[2 * c + part, 2 * other + 1] = -total / sizes[other]
-            if last == k:
+            if state.fresh[j] != TIED:
                 matrix[2 * c + part, 2 * c + 1] += factor * speed[0, j] * across_d / sizes[c]
     if solve(matrix, right, x, NEGLIGIBLE) == 0:  # as where nothing can move across, or forces are not unique
         least_norm(matrix, right, NEGLIGIBLE, x, np.empty((0, 2 * count)))
     for c in range(count):
         j = ties[c]
         x[2 * c + 1] /= sizes[c]
-        speed[k - 1 if state.fresh[j] == TIED else k, j] = x[2 * c]
-        unit[k, 2 * j] -= x[2 * c + 1] * state.direction[2 * j + 1]
-        unit[k, 2 * j + 1] += x[2 * c + 1] * state.direction[2 * j]
+        speed[k if state.fresh[j] == RESUMED else k - 1, j] = x[2 * c]
+        turned = k - 1 if state.fresh[j] == LATE else k
+        unit[turned, 2 * j] -= x[2 * c + 1] * state.direction[2 * j + 1]
+        unit[turned, 2 * j + 1] += x[2 * c + 1] * state.direction[2 * j]
         for i in range(m):
             force[k, i] += x[2 * c + 1] * answers[c, i]
 

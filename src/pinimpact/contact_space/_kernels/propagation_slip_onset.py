@@ -11,7 +11,7 @@ from ..._numeric.elimination import solve
 from ..._numeric.tolerances import COMPUTED, ROUNDING
 from .codes import SLIPPING, STUCK
 from .propagation_series import answer_of_turn, expand, unknown_after
-from .propagation_state import AT_BOUND, RESUMED, TIED
+from .propagation_state import AT_BOUND, LATE, RESUMED, TIED
 from .tolerances import BEGINS, NEGLIGIBLE, SLIP_SPEED
 
 TURNS = 6
@@ -64,13 +64,15 @@ def align(system, state, unit, weight, series):
     m = 3 * n
     places, gradual = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     count = begun = 0
+    first = np.int64(0)  # order at which forces begin
     for j in range(n):
-        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
+        if state.tangent[j] == SLIPPING and state.fresh[j] in (RESUMED, LATE):
             begun += 1
+            first = np.int64(1) if state.fresh[j] == LATE else first
     if begun == 0:
         return
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
-    expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
+    expand(system, state, unknown, inverse, first, 1.0, series)
     for j in range(n):
         if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
             size = 0.0
@@ -85,26 +87,46 @@ def align(system, state, unit, weight, series):
         if gradual[j] == 1 and not series.speed[0, j] > 0.0:
             state.fresh[j] = RESUMED
             gradual[j] = 0
-        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
+        if state.tangent[j] == SLIPPING and state.fresh[j] in (RESUMED, LATE):
             places[count] = j
             count += 1
+    largest = _turn_along(system, state, unit, weight, series, places[:count], first)
+    unknown, inverse, weight = unknown_after(system, state, unit, weight)
+    expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
+    for j in range(n):
+        if state.tangent[j] == SLIPPING and (state.fresh[j] in (RESUMED, LATE) or gradual[j] == 1):
+            lost = gradual[j] == 0 and not largest <= ROUNDING
+            if lost or not series.speed[0, j] > 0.0:
+                state.fresh[j] = 1
+                for i in range(2):
+                    state.v[3 * j + i] = SLIP_SPEED * state.direction[2 * j + i]
+
+
+@inlined
+def _turn_along(system, state, unit, weight, series, places, first):
+    """Turn the directions of slips to their accelerations, by Newton's method; return the last turn.
+
+    Args:
+        places: The contacts.
+        first: Order of the series at which forces begin.
+    """
+    count = len(places)
     matrix, right, turn = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    answer, largest = np.empty(m), 0.0
+    answer, largest = np.empty(len(state.v)), 0.0
     for _ in range(TURNS if count > 0 else 0):
         unknown, inverse, weight = unknown_after(system, state, unit, weight)
         fixed = np.empty(len(unknown))
-        expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
+        expand(system, state, unknown, inverse, first, 1.0, series)
         for c in range(count):
-            j = places[c]
-            answer_of_turn(system, state, series.unit[0], unknown, inverse, fixed, j, series.force[0], answer)
+            j, force = places[c], series.force[first]
+            answer_of_turn(system, state, series.unit[0], unknown, inverse, fixed, j, force, answer)
             for other in range(count):
                 matrix[other, c] = _across(system, state, places[other], answer)
-            right[c] = -_across(system, state, j, series.force[0])
+            right[c] = -_across(system, state, j, force)
         for c in range(count):
-            matrix[c, c] -= series.speed[0, places[c]]
+            matrix[c, c] -= (first + 1.0) * series.speed[0, places[c]]
         if solve(matrix, right, turn, COMPUTED) == 0:
-            largest = math.inf
-            break
+            return math.inf
         largest = 0.0
         for c in range(count):
             j = places[c]
@@ -115,15 +137,7 @@ def align(system, state, unit, weight, series):
             largest = max(largest, abs(turn[c]))
         if not largest > ROUNDING:
             break
-    unknown, inverse, weight = unknown_after(system, state, unit, weight)
-    expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
-    for j in range(n):
-        if state.tangent[j] == SLIPPING and (state.fresh[j] == RESUMED or gradual[j] == 1):
-            lost = gradual[j] == 0 and not largest <= ROUNDING
-            if lost or not series.speed[0, j] > 0.0:
-                state.fresh[j] = 1
-                for i in range(2):
-                    state.v[3 * j + i] = SLIP_SPEED * state.direction[2 * j + i]
+    return largest
 
 
 @inlined

@@ -16,9 +16,9 @@ NOT_SHARED, SHARED, UNEVEN = 0, 1, 2
 """`State.shared`: whether others can bear what friction at a contact does; and whether in the step to come
 that of the series, (14.4), leaves its bounds, so that they do."""
 
-TIED, RESUMED, AT_BOUND = 2, 4, 3
-"""`State.fresh` of a slip that begins as friction comes to its bound, of one that does beyond it, and where
-friction has come to its bound."""
+TIED, RESUMED, LATE, AT_BOUND = 2, 4, 5, 3
+"""`State.fresh` of a slip that begins as friction comes to its bound, of one that does beyond it, of one that
+does so where all forces begin at zero, and where friction has come to its bound."""
 
 
 class System(NamedTuple):
@@ -55,7 +55,8 @@ class State(NamedTuple):
         tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
         direction: (2n,) of the slip that a contact at the bound of its friction would take.
         fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
-            3 where friction has come there, 4 for a slip that begins with an acceleration.
+            3 where friction has come there, 4 for a slip that begins with an acceleration, 5 for one that
+            begins as all forces do.
         shared: (n,) whether others can bear what friction at a contact does, see `propagation_sharing`.
         share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
         pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
@@ -98,7 +99,7 @@ def loads(mode):
 @inlined
 def begins(fresh):
     """Return whether a slip begins now, so that its direction is known before its velocity is."""
-    return fresh in (TIED, RESUMED)
+    return fresh in (TIED, RESUMED, LATE)
 
 
 @inlined
