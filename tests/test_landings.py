@@ -163,6 +163,27 @@ def compare_with_steps(problem):
     assert solution.work.friction.sum() == pytest.approx(by_steps.work.friction.sum(), abs=1e-9)
 
 
+@pytest.mark.parametrize("seed", [43, 204, 208, 241, 393, 493])
+def test_no_restitution_at_one_of_redundant_contacts_is_the_limit(seed):
+    """Slip begins at contacts that share their friction before one without restitution is at its peak."""
+    rng = np.random.default_rng([31, seed])
+    n = (3, 4, 5)[seed % 3]
+    corners = rng.uniform(-0.1, 0.1, (n, 3))[:, :2]
+    w, jacobian = body(corners, 0.05)
+    start = jacobian @ np.array([*rng.uniform(-0.5, 0.5, 2), -1.0, *rng.uniform(-3.0, 3.0, 3)])
+    friction, restitution = rng.uniform(0.2, 1.2, n), np.append(0.0, rng.uniform(0.3, 1.0, n)[1:])
+
+    def after(e):
+        restitution[0] = e
+        problem = ImpactProblem(w, start.reshape(-1, 3), friction, restitution, "energetic")
+        return solve_impact(problem).velocity
+
+    limit = after(0.0)
+    coarse, fine = (np.abs(after(e) - limit).max() for e in (1e-3, 1e-4))
+    assert 0.0 < fine < 1e-4
+    assert fine == pytest.approx(0.1 * coarse, rel=0.05)
+
+
 def test_the_noted_accuracy_counts_what_still_approaches():
     # nearly symmetric, e = 0: values at e = 1e-3 and its halves are linear in e, but not those at e = 1e-5
     corners = [

@@ -49,11 +49,11 @@ def settle(system, state, series):
     normal, tangent = state.normal, state.tangent
     none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
     stuck, held = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    asked, at_bound, restores = 0, False, True
+    asked, at_bound, any_held = 0, False, False
     for j in range(n):
         state.shared[j] = NOT_SHARED
-        restores = restores and system.unloading[j] > 0.0
         if normal[j] == HELD:
+            any_held = True
             held[j] = 1
             state.pressed[j] = 0.0
             asked += 1
@@ -76,7 +76,7 @@ def settle(system, state, series):
     scale = 0.0
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
-    shared = restores and mark_shared(system, state)
+    shared = not any_held and mark_shared(system, state)
     fits = _fits(system, state, cap, unknown, forces, scale)
     if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
         return unknown, inverse, weight, True
