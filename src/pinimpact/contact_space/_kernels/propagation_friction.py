@@ -49,9 +49,10 @@ def settle(system, state, series):
     normal, tangent = state.normal, state.tangent
     none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
     stuck, held = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    asked, at_bound, any_held = 0, False, False
+    asked, at_bound, any_held, restores = 0, False, False, True
     for j in range(n):
         state.shared[j] = NOT_SHARED
+        restores = restores and system.unloading[j] > 0.0
         if normal[j] == HELD:
             any_held = True
             held[j] = 1
@@ -81,9 +82,11 @@ def settle(system, state, series):
     if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
         return unknown, inverse, weight, True
     if not root and begin_at_bound(system, state, unit, weight, series):
+        if shared:  # those that still stick may be the only ones that can
+            mark_shared(system, state)
         unknown, inverse, weight = unknown_after(system, state, unit, weight)
         return unknown, inverse, weight, True
-    if shared and at_bound and root:
+    if shared and restores and at_bound and root:
         return unknown, inverse, weight, False
     if shared and (fits or holds_now(system, state, p)):
         return unknown, inverse, weight, True
@@ -96,8 +99,8 @@ def settle(system, state, series):
             if not moves:
                 state.share[2 * j], state.share[2 * j + 1] = 0.0, 0.0
                 tangent[j] = STUCK
-            # slips of one body begin in directions of one rigid motion
-            known = known and not (tangent[j] == SLIPPING and state.fresh[j] == 1)
+            # slips of one body begin in directions of one rigid motion; steps are no better at e = 0
+            known = known and not (restores and tangent[j] == SLIPPING and state.fresh[j] == 1)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     return unknown, inverse, weight, known
 

@@ -155,27 +155,14 @@ def expand(system, state, unknown, inverse, order, pace, series):
         if hertz and loads(state.normal[j]) and state.indentation[j] <= 0.0:
             root = True
     fixed, rates = np.empty(len(unknown)), np.empty(n)
-    ties, closed = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    count = pressed = 0
-    together, first = order > 0, 0
-    for j in range(n):
-        rates[j] = 0.0 if state.normal[j] == HELD else rate(system, state.normal[j], j)
-        if state.normal[j] != OPEN or state.tangent[j] != FREE:
-            closed[pressed] = j
-            pressed += 1
-        if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
-            ties[count] = j
-            count += 1
-            together = together and state.shared[j] != NOT_SHARED and state.fresh[j] == TIED
-            first = 1 if state.fresh[j] == LATE else first
-    ties = ties[:count].copy()
+    closed, ties, together, first = _what_changes(system, state, rates)
+    count, together = len(ties), together and order > 0
     answers = np.zeros((count, 3 * n))
-    together = together and count > 0
-    mechanism = new_mechanism(len(ties) if together else 0)
+    mechanism = new_mechanism(count if together else 0)
     for k in range(order + 1):
         for i in range(3 * n):
             force[k, i] = 0.0
-        for j in closed[:pressed]:
+        for j in closed:
             p = 3 * j
             mode, tangent = state.normal[j], state.tangent[j]
             normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
@@ -214,6 +201,29 @@ def expand(system, state, unknown, inverse, order, pace, series):
             _turn(system, state, series, k, pace, ties, answers)
         _integrate(system, rates, series, k, pace, root)
     return root
+
+
+@inlined
+def _what_changes(system, state, rates):
+    """Fill the rates (n,) of indentations; return which contacts have forces, and how slips begin.
+
+    These are the contacts where they do, whether as one mechanism, and the order at which their forces begin.
+    """
+    n = len(rates)
+    ties, closed = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    count = pressed = first = 0
+    together = True
+    for j in range(n):
+        rates[j] = 0.0 if state.normal[j] == HELD else rate(system, state.normal[j], j)
+        if state.normal[j] != OPEN or state.tangent[j] != FREE:
+            closed[pressed] = j
+            pressed += 1
+        if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
+            ties[count] = j
+            count += 1
+            together = together and state.shared[j] != NOT_SHARED and state.fresh[j] == TIED
+            first = 1 if state.fresh[j] == LATE else first
+    return closed[:pressed].copy(), ties[:count].copy(), together and count > 0, first
 
 
 @inlined
@@ -307,6 +317,8 @@ def _turn(system, state, series, k, pace, ties, answers):
         sizes[c] = 0.0
         for i in range(m):
             sizes[c] = max(sizes[c], w[i, i] * abs(answers[c, i]))
+        if state.fresh[ties[c]] != TIED:
+            sizes[c] = max(sizes[c], factor * abs(speed[0, ties[c]]))
         sizes[c] = sizes[c] / factor if sizes[c] > 0.0 else 1.0
     for c in range(count):
         j = ties[c]

@@ -47,8 +47,9 @@ def mark_shared(system, state):
     """Mark the contacts that stick where they can hold in several ways; return whether they can."""
     n, count = len(system.friction), 0
     for j in range(n):
-        state.shared[j] = NOT_SHARED
-        count += state.tangent[j] == STUCK and loads(state.normal[j])
+        if state.tangent[j] == STUCK:
+            state.shared[j] = NOT_SHARED
+            count += loads(state.normal[j])
     if count < 2:
         return False
     at, rows = _shared_rows(system, state)
