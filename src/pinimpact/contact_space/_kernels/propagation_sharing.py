@@ -190,10 +190,7 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
     s = _polish(rows, bounds, held, degree, reach, s, d, slips, friction)
     for c in range(m):
         j = at[c]
-        ax = ay = 0.0
-        for k in range(r):
-            ax += rows[3 * c, k] * d[k]
-            ay += rows[3 * c + 1, k] * d[k]
+        ax, ay = dot(rows[3 * c], d), dot(rows[3 * c + 1], d)
         speed = math.hypot(ax, ay)
         if slips[c] and speed > 0.0:
             state.direction[2 * j], state.direction[2 * j + 1] = ax / speed, ay / speed
@@ -249,10 +246,7 @@ def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
                         matrix[place, k] = part
                         right[place] -= part * d[k]
                 continue
-            ax = ay = 0.0
-            for k in range(r):
-                ax += rows[3 * c, k] * d[k]
-                ay += rows[3 * c + 1, k] * d[k]
+            ax, ay = dot(rows[3 * c], d), dot(rows[3 * c + 1], d)
             speed = math.hypot(ax, ay)
             if not speed > 0.0:
                 return start
