@@ -3,6 +3,7 @@
 import math
 import re
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,6 +13,7 @@ import pinimpact
 from pinimpact import Flag, ImpactProblem, InputError, LawError, Status, solve_impact
 from pinimpact._compile import jit
 from pinimpact.contact_space import simultaneous
+from pinimpact.contact_space._kernels.propagation_stages import Springs, minimize
 from pinimpact.robot._kernels.responses import half_solve
 
 CRADLE = (-0.130261695064521, 0.150229569434774, 0.980032125629747)
@@ -700,6 +702,26 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, restituti
     mass = np.linalg.inv(inverse)
     gained = 0.5 * (after @ mass @ after - u @ mass @ u)
     assert by_steps.work.total.sum() == pytest.approx(gained, rel=1e-6)
+
+
+@numba.njit
+def find_least(rows, restitution, x, part, y, v):
+    """Find the minimum (14.10) for one stiff contact without friction, fully loaded at x (1,)."""
+    none = np.zeros(1)
+    springs, stiff = Springs(x, x, restitution, np.ones(1), 1.0), np.ones(1, dtype=np.bool_)
+    return minimize(rows, none, 1e-9, springs, stiff, x, part, none, y, v)
+
+
+def test_stages_of_stiff_contacts_are_found_as_well_as_rounding_allows():
+    # one contact that unloads by d = part * v / e^2 of x: y = part * (x - d) in closed form
+    rng, rows = np.random.default_rng(0), np.array([[0.0], [0.0], [1.0]])
+    for _ in range(100):
+        e, x = np.array([10.0 ** rng.uniform(-6.0, -4.0)]), rng.uniform(0.5, 1.5, 1)
+        part, d = e[0] * 10.0 ** rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0) * x[0]
+        speed, y = d * e[0] ** 2 / part, np.zeros(1)
+        v = np.array([0.0, 0.0, speed - part * (x[0] - d)])
+        assert find_least(rows, e, x, part, y, v)
+        assert v[2] == pytest.approx(speed, abs=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")

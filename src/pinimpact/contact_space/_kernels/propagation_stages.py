@@ -13,7 +13,7 @@ import numpy as np
 from ..._compile.declared import Floats
 from ..._compile.jit import inlined
 from ..._numeric.cone_program import cholesky, substitute
-from ..._numeric.tolerances import LITTLE, ROUNDOFF
+from ..._numeric.tolerances import EPS, LITTLE, ROUNDOFF
 from .tolerances import NEGLIGIBLE
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
@@ -109,10 +109,13 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
     for _ in range(TURNS):
         for k in range(r):
             gradient[k] = y[k] - target[k]
+        noise = LITTLE * creep
         for j in range(n):
             if stiff[j]:
-                push = part * force_at(springs, j, x[j] - part * v[3 * j + 2])
+                deep = x[j] - part * v[3 * j + 2]
+                push = part * force_at(springs, j, deep)
                 strongest = max(strongest, push)
+                noise = max(noise, EPS * part * _hardness(springs, j, deep) * (abs(x[j]) + springs.peak[j]))
                 for k in range(r):
                     gradient[k] -= push * rows[3 * j + 2, k]
             if bound[j] > 0.0:
@@ -123,7 +126,7 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         off = 0.0
         for k in range(r):
             off = max(off, abs(gradient[k]))
-        if off <= LITTLE * creep or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
+        if off <= noise or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
             return True
         last = off
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)
