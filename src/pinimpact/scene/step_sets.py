@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from .._numeric.tolerances import RANK, ROUNDING, SETTLED
+from .._numeric.tolerances import RANK, ROUNDING, SETTLED, SOFTEST, TINY
 from ..arrays import Array, Integers
 from .step_taken import StepTaken
 
@@ -157,23 +158,75 @@ def active_sets(
     return ActiveSets(places, ends, kinds, softness, tuple(sets.slides), sets.bounds, sets.tied)
 
 
-def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
+class Shares(NamedTuple):
+    """How redundant rows share their impulses: ℓᵀ (C λ + κ w) = 0, of velocities w that they miss. (D40)
+
+    Attributes:
+        rates: (m,) κ of the island of each row; zero where it is not known.
+        least: (m,) where it is not known, that of one iteration.
+        missed: (m,) κ w.
+        largest: (m,) the row of the step with the largest entry on the diagonal of W in that island.
+    """
+
+    rates: Array
+    least: Array
+    missed: Array
+    largest: Integers
+
+
+def shares_of(taken: StepTaken, sets: ActiveSets, compliances: Array, delassus: Array, null: Array) -> Shares:
+    """Return how the active rows share their impulses in a step.
+
+    Compliances (nc,) are those of the near contacts, W (rows, rows) is that of all rows of the step, and null
+    (m, …) has the ℓ of the active ones.
+    """
+    found, contacts = taken.found, 3 * len(compliances)
+    acts = np.ones(len(delassus), dtype=bool)
+    acts[taken.rows.normals] = ~found.arrives
+    acts[:contacts] = np.repeat(acts[2:contacts:3], 3)
+    island = connected_components((delassus != 0.0) & np.outer(acts, acts))[1]
+    missed = found.u_end[sets.rows] + np.where(sets.closing != OPEN, sets.gaps / taken.h, 0.0)
+    w, p = (null @ (null.T @ np.column_stack([missed, sets.compliances * found.impulse[sets.rows]]))).T
+    (rates, least), largest = np.zeros((2, len(w))), np.zeros(len(w), dtype=np.int64)
+    for number in np.unique(island[sets.rows]):
+        own, of = island[sets.rows] == number, np.flatnonzero(island[:contacts] == number)
+        if len(of) == 0:
+            continue
+        largest[own] = top = of[delassus[of, of].argmax()]
+        once = compliances[of // 3].max() / (SOFTEST * delassus[top, top])
+        count = -(w[own] @ p[own]) / max(w[own] @ w[own], TINY) / once
+        if 0.5 < count < 1.0 / TIED and abs(count - round(count)) <= TIED:
+            rates[own] = round(count) * once
+        else:
+            least[own] = once
+    return Shares(rates, least, rates * missed, largest)
+
+
+def limit_of_compliances(
+    matrix: Array, velocities: Array, compliances: Array, shared: Array | None = None
+) -> Array:
     """Return impulses (m, n) that cause velocities (m, n), in the limit of small compliances (m,). (D37)
 
-    The matrix (m, m) of velocities by impulses is of any rank; columns with NaN stay so.
+    The matrix (m, m) of velocities by impulses is of any rank; columns with NaN stay so. What no velocity
+    shows of the impulses λ is ℓᵀ C λ = ℓᵀ `shared` (m, n), or zero.
     """
     m = len(matrix)
     found = np.full_like(velocities, np.nan)
-    known = np.isfinite(velocities).all(axis=0)
+    shared = np.zeros_like(velocities) if shared is None else shared
+    known = np.isfinite(velocities + shared).all(axis=0)
     if m == 0:
         return found
-    left, sizes, _ = np.linalg.svd(matrix)
-    null = left[:, sizes <= RANK * sizes[0]]
+    left, sizes, right = np.linalg.svd(matrix)
+    small = sizes <= RANK * sizes[0]
+    null = left[:, small]
     if null.shape[1] == 0:
         found[:, known] = np.linalg.solve(matrix, velocities[:, known])
         return found
-    # (matrix + r C) λ = velocities for r → 0: what no velocity shows of λ obeys nullᵀ C λ = 0
-    shares = sizes[0] * null.T * (compliances / compliances.max())
-    right = np.concatenate([velocities[:, known], np.zeros((len(shares), int(known.sum())))])
-    found[:, known] = np.linalg.lstsq(np.concatenate([matrix, shares]), right, rcond=RANK)[0]
+    # (matrix + r C) λ = velocities for r → 0: what cannot be caused grows along C ρ, matrix ρ = 0
+    given, unit = velocities[:, known], sizes[0] / compliances.max()
+    along = compliances[:, None] * right[small].T
+    caused = given - along @ np.linalg.lstsq(null.T @ along, null.T @ given, rcond=RANK)[0]
+    wanted = np.concatenate([caused, unit * null.T @ shared[:, known]])
+    rows = np.concatenate([matrix, unit * null.T * compliances])
+    found[:, known] = np.linalg.lstsq(rows, wanted, rcond=RANK)[0]
     return found

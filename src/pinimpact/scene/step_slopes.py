@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .._numeric.tolerances import RANK
 from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
 from ..robot.derivatives import check_joints
@@ -24,7 +25,7 @@ from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
 from .row_bends import row_bends
 from .scene import Scene
-from .step_sets import OPEN, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
+from .step_sets import OPEN, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances, shares_of
 from .step_taken import StepTaken
 
 
@@ -58,6 +59,8 @@ class _Moved(NamedTuple):
         u_start, u_end: (rows, n) of the velocities of the rows.
         length: (n,) of the length of the step [s].
         rows: The rows.
+        by_sharing: (nv, n) what targets that redundant contacts do not all reach add to `v_end`. (D40)
+        unsure: (nv, n) what they add at least where that is not known.
     """
 
     middle: Array
@@ -67,6 +70,8 @@ class _Moved(NamedTuple):
     u_end: Array
     length: Array
     rows: _Rows
+    by_sharing: Array
+    unsure: Array
 
 
 class StepSlopes:
@@ -242,6 +247,9 @@ class StepSlopes:
         pinned = sets.rows[sets.closing == PINNED]
         sizes = np.abs(rows.jacobian[pinned]).sum(axis=1)
         tied = (np.abs(rows.gaps[pinned]) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
+        tied |= (np.abs(moved.unsure) > TIED * largest).any(axis=0)
+        if (np.abs(moved.by_sharing) > TIED * largest).any():
+            self.boundary |= Boundary.EVENTS_COINCIDE
         if sets.tied:
             other = self._solve(taken, self._sets(taken, True), *given)
             tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)
@@ -277,8 +285,12 @@ class StepSlopes:
         stays -= np.outer(sets.gaps / h**2, length)
         moved = np.linalg.solve(matrix, np.column_stack([known + forces, pushed]))
         free, response = moved[:, : known.shape[1]], moved[:, known.shape[1] :]
-        impulses = limit_of_compliances(kept @ response, -(kept @ free + stays), sets.compliances)
+        velocities, none = -(kept @ free + stays), np.zeros((len(kept), 2 * known.shape[1]))
+        shared = self._shared(taken, sets, rows, total, middle, velocities)
+        given = np.hstack([velocities, none]), sets.compliances, shared
+        impulses, *effects = np.split(limit_of_compliances(kept @ response, *given), 3, axis=1)
         v_end = free + response @ impulses
+        by_sharing, unsure = (response @ one for one in effects)
         v_end[taken.stopped] = 0.0
         u_end = jacobian @ v_end + rows.end
         change = np.asarray(np.linalg.solve(total, jacobian.T @ found.impulse), dtype=float)
@@ -288,7 +300,38 @@ class StepSlopes:
             after -= along.T @ one.turns @ along @ v_end
         after -= np.outer(softer * change, length)
         mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
-        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows)
+        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, by_sharing, unsure)
+
+    def _shared(
+        self,
+        taken: StepTaken,
+        sets: ActiveSets,
+        rows: _Rows,
+        total: Array,
+        middle: Array,
+        velocities: Array,
+    ) -> Array:
+        """Return C δλ along ℓ, (m, 3 n), for changes of velocities (m, n) that the impulses cause. (D40)
+
+        The first n columns are all of it, the next what of it follows from the velocities, the last what a
+        single iteration makes where κ is not known. How impulses are shared moves nothing without slip.
+        """
+        jacobian, out = rows.jacobian, np.zeros((3, *velocities.shape))
+        if sets.slides:
+            left, sizes, _ = np.linalg.svd(jacobian[sets.rows])
+            null = left[:, int((sizes > RANK * sizes[0]).sum()) :]
+            if null.shape[1] > 0:
+                response = np.asarray(np.linalg.solve(total, jacobian.T), dtype=float)
+                soft = self._compliances[taken.rows.contacts]
+                shares = shares_of(taken, sets, soft, jacobian @ response, null)
+                out[:] = shares.rates[:, None] * velocities
+                out[2] = shares.least[:, None] * velocities
+                for top in np.unique(shares.largest[shares.rates > 0.0]).tolist():
+                    y, (k, e), own = response[:, top], divmod(top, 3), shares.largest == top
+                    turned = rows.turns[k] @ rows.slopes.rows[k].slopes(rows.slopes.tree.motions(y))
+                    softened = (2.0 * turned[e] - y @ rows.slopes.of_mass(y)) @ middle
+                    out[0][own] += np.outer(shares.missed[own], softened / (jacobian[top] @ y))
+        return np.hstack(list(out))
 
     def _rows(self, taken: StepTaken, v: Array, moved: tuple[Array, Array, Array]) -> _Rows:
         """Return the rows of a step, which starts with v (nv,), with their changes.
