@@ -334,6 +334,14 @@ def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
     assert call(team)[0] == [7.0, 130.0, -3.0]
 
 
+def test_what_was_called_before_it_was_compiled_is_compiled_all_the_same(team: Path) -> None:
+    edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=float)")
+    alone = SHARED.replace("assert pool.present.lock(shifted)", "jobs.sort(key=lambda job: job.name)")
+    kept = "    assert entry.leaf.shifted._cache.knows(shifted.types)\n"
+    alone = alone.replace("    pool.present = None\n", f"    pool.present = None\n{kept}")
+    assert python(team, alone).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
+
+
 def test_whoever_comes_too_late_to_a_kernel_goes_on_with_others(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=float)")
     late = (

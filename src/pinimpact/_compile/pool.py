@@ -100,18 +100,8 @@ class WorkerPool:
 
     def compile_with_others(self, jobs: Sequence[Job]) -> None:
         """Compile unlocked kernels for the cache only, when their dependencies are done."""
-        try:
-            with to_be_kept_only():
-                self._compile_with_others(jobs)
-        finally:
-            self._at_work = None
-            for kernel, types in self._borrowed:
-                kernel.overloads.pop(types, None)
-            for kernel in {kernel for kernel, _ in self._borrowed}:
-                others = list(kernel.overloads.values())
-                kernel._reset_overloads()
-                for one in others:
-                    kernel.add_overload(one)
+        with to_be_kept_only():
+            self._compile_with_others(jobs)
 
     def _compile_with_others(self, jobs: Sequence[Job]) -> None:
         left = list(jobs)
@@ -125,11 +115,26 @@ class WorkerPool:
                 continue
             LOG.info(COUNT, sum(over), len(jobs))
             self._at_work = job
-            with suppress(Exception):  # invalid types; other errors occur again at the call
-                kernel_of(job).compile(job.types)
+            try:
+                with suppress(Exception):  # invalid types; other errors occur again at the call
+                    kernel_of(job).compile(job.types)
+            finally:
+                self._at_work = None
+                self._return_borrowed()
             self.release(job)
             if self._helpers:  # not in helpers, which end before it matters
                 gc.collect(0)
+
+    def _return_borrowed(self) -> None:
+        """Forget the placeholders, so that their kernels can be compiled here."""
+        for kernel, types in self._borrowed:
+            kernel.overloads.pop(types, None)
+        for kernel in {kernel for kernel, _ in self._borrowed}:
+            others = list(kernel.overloads.values())
+            kernel._reset_overloads()
+            for one in others:
+                kernel.add_overload(one)
+        self._borrowed.clear()
 
     def _is_at_work(self, job: Job) -> bool:
         return self._at_work is not None and self._at_work[:3] == job[:3]

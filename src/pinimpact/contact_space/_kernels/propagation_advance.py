@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
-from ..._compile.jit import inlined
-from ..._numeric.loops import power
+from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import external, inlined
+from ..._numeric.loops import filled, power
 from .codes import (
     COMPRESSION,
     FREE,
@@ -22,9 +24,9 @@ from .codes import (
     SLIPPING,
 )
 from .first_fall import value_at
-from .propagation_series import POINTS
+from .propagation_series import POINTS, Series
 from .propagation_sharing import spread
-from .propagation_state import LATE, UNEVEN, open_contact, rate, stored
+from .propagation_state import LATE, UNEVEN, State, System, open_contact, rate, stored
 from .tolerances import SLIP_SPEED, SLOW
 
 
@@ -45,20 +47,26 @@ def _product(series, i, k):
     return total
 
 
-@inlined
+@declared(
+    *(System, State, Series, float, int, float, bool, FLOATS, FLOAT_ROWS, FLOAT_ROWS, int, INTEGERS),
+    result=int,
+)
+@external
 def advance(system, state, series, h, degree, pace, root, parts, works, rows, used, latest):
     """Go to the end of a step, with works and rows; return how many rows there are.
 
     Args:
         parts: (ORDER + 1,) scratch.
     """
+    system, state, series = borrowed(system), borrowed(state), borrowed(series)
+    parts, works, rows, latest = borrowed(parts), borrowed(works), borrowed(rows), borrowed(latest)
     n = len(system.friction)
     uneven = False
     for k in range(degree + 1):
         parts[k] = time_power(k, h, pace, root)
     for j in range(n):
         uneven |= state.shared[j] == UNEVEN
-    series.beyond[:] = 0.0
+    filled(series.beyond.ravel(), 0.0)
     if uneven:
         spread(system, state, series, degree, h, pace, root)
     for j in range(n):

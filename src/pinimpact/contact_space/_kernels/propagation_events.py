@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inlined
+from numba import types
+
+from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.tolerances import NOISE, ROUNDOFF
 from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
-from .propagation_series import ORDER, SHORT
+from .propagation_series import ORDER, SHORT, Series
 from .propagation_sharing import limit_of_holding
 from .propagation_state import (
     AT_BOUND,
@@ -17,6 +21,8 @@ from .propagation_state import (
     SHARED,
     TIED,
     UNEVEN,
+    State,
+    System,
     begins,
     close,
     open_contact,
@@ -35,9 +41,15 @@ def _fall(c, h, zero, crowded, work):
     return NEVER if crowded and time <= 0.0 and c[0] >= -zero else time
 
 
-@inlined
+@declared(
+    *(System, State, Series, float, float, bool, FLOAT_ROWS, FLOATS, FLOAT_ROWS),
+    result=types.Tuple((types.float64, types.int64)),
+)
+@external
 def find_events(system, state, series, h, tie, crowded, roots, guard, work):
     """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
+    system, state, series = borrowed(system), borrowed(state), borrowed(series)
+    roots, guard, work = borrowed(roots), borrowed(guard), borrowed(work)
     n = len(system.friction)
     first, degree, uneven = NEVER, ORDER, False
     strongest = 0.0

@@ -5,16 +5,27 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
 
-from ..._compile.jit import inlined
+from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.loops import repeated
 from ..._numeric.tolerances import EXACT, LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
-from .propagation_series import bounded_unknowns, expand, force_inverse, hold, natural_pace, unknown_after
+from .propagation_series import (
+    Series,
+    bounded_unknowns,
+    expand,
+    force_inverse,
+    hold,
+    natural_pace,
+    unknown_after,
+)
 from .propagation_sharing import holds_now, mark_shared
 from .propagation_slip_onset import align, begin_at_bound
-from .propagation_state import AT_BOUND, LATE, NOT_SHARED, RESUMED, friction_share, loads
+from .propagation_state import AT_BOUND, LATE, NOT_SHARED, RESUMED, State, System, friction_share, loads
 from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED
 
 WEIGHED_AHEAD = 0.1
@@ -37,7 +48,8 @@ NEARBY = 1e-6
 little power: without it rounding decides between them, and the rounds do not converge."""
 
 
-@inlined
+@declared(System, State, Series, result=types.Tuple((INTEGERS, FLOAT_ROWS, FLOATS, types.boolean)))
+@external
 def settle(system, state, series):
     """Bring the modes of contacts that do not slip, or are held, to what the forces ask for.
 
@@ -45,6 +57,7 @@ def settle(system, state, series):
         The places of the unknown forces, the matrix that solves for them, their weights, and whether modes
         are known: not where contacts that can hold in several ways come to their bounds together.
     """
+    system, state, series = borrowed(system), borrowed(state), borrowed(series)
     n = len(system.friction)
     normal, tangent = state.normal, state.tangent
     none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))

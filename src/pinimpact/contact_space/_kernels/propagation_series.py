@@ -10,14 +10,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FloatRows, Integers
-from ..._compile.jit import inlined
+from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLOAT_ROWS, INTEGERS, FloatRows, Integers, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.products import dot
 from .codes import BOUND, FREE, HELD, OPEN, SLIPPING, STUCK
 from .propagation_mechanism import fill_mechanism, new_mechanism, turn_together
-from .propagation_state import LATE, NOT_SHARED, RESUMED, TIED, begins, friction_share, loads, rate
+from .propagation_state import (
+    LATE,
+    NOT_SHARED,
+    RESUMED,
+    TIED,
+    State,
+    System,
+    begins,
+    friction_share,
+    loads,
+    rate,
+)
 from .tolerances import NEGLIGIBLE
 
 ORDER, SHORT = np.int64(24), np.int64(2)
@@ -132,7 +144,8 @@ def unknown_after(system, state, unit, weight):
     return unknown, inverse, weight
 
 
-@inlined
+@declared(System, State, INTEGERS, FLOAT_ROWS, int, float, Series, result=bool)
+@external
 def expand(system, state, unknown, inverse, order, pace, series):
     """Fill the series of the motion from a state on, as long as its modes last.
 
@@ -142,6 +155,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
     Returns:
         Whether they are in τ, s = τ².
     """
+    system, state, series = borrowed(system), borrowed(state), borrowed(series)
     friction = system.friction
     n = len(friction)
     v, indentation, force, unit = series.v, series.indentation, series.force, series.unit

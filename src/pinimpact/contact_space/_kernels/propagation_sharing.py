@@ -13,6 +13,7 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.least_norm import least_norm
+from ..._numeric.loops import assign, filled
 from ..._numeric.products import dot
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import EXACT, TINY
@@ -113,7 +114,9 @@ def _creep(rows, bound, load, y, v):
     none, soft = np.zeros(m), np.zeros(m, dtype=np.bool_)
     springs = Springs(none, none, none, none, 1.0)
     if not minimize(rows, bound, NEGLIGIBLE, springs, soft, none, 0.0, load, y, v):
-        y[:], v[:], creep = 0.0, 0.0, COARSE
+        filled(y, 0.0)
+        filled(v, 0.0)
+        creep = COARSE
         while creep >= NEGLIGIBLE:
             minimize(rows, bound, creep, springs, soft, none, 0.0, load, y, v)
             creep *= FINER
@@ -232,7 +235,8 @@ def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
     for c in range(m):
         strongest = max(strongest, value_at(bounds, c, degree, s))
     for _ in range(TURNS):
-        matrix[:], right[:] = 0.0, 0.0
+        filled(matrix.ravel(), 0.0)
+        filled(right, 0.0)
         for k in range(r):
             right[k] = -value_at(held, k, degree, s) / strongest
             matrix[k, last] = _slope_at(held, k, degree, s) / strongest
@@ -274,7 +278,7 @@ def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
                 friction[c, 1] += change[places[c] + 1]
         s += change[last]
         if not abs(s - start) <= NEGLIGIBLE**0.5 * reach:
-            d[:] = direction
+            assign(d, direction)
             return start
         if largest <= EXACT:
             break
@@ -308,7 +312,8 @@ def spread(system, state, series, degree, h, pace, root):
                 gram[a, b] += rows[i, a] * rows[i, b]
     parts = len(series.beyond)
     for part in range(parts):
-        more[:], pushed[:] = 0.0, 0.0
+        filled(more, 0.0)
+        filled(pushed, 0.0)
         for node in range(len(NODES)):
             s = h * (part + NODES[node]) / parts
             weight = WEIGHTS[node] * h / parts * pace * (2.0 * pace * s if root else 1.0)

@@ -14,7 +14,7 @@ from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, filled
 from ..._numeric.tolerances import LITTLE, TINY
 from .first_fall import NEVER
 from .propagation_stages import Springs, find_stage, force_at
@@ -138,8 +138,8 @@ def step_through(
         for k in range(r):
             mobility[j] += rows[3 * j + 2, k] ** 2
         pace[j] = math.sqrt(stiffness[j] * mobility[j])  # of velocities in its loading to indentations
-    works[:] = 0.0
-    impulse[:] = 0.0
+    filled(works.ravel(), 0.0)
+    filled(impulse, 0.0)
     springs = Springs(np.zeros(n), np.zeros(n), restitution, stiffness, exponent)
     contacts = Contacts(rows, friction, springs, np.zeros(n), pace, creep)
     rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
@@ -162,7 +162,7 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
     contacts, v, force, rate = borrowed(contacts), borrowed(v), borrowed(force), borrowed(rate)
     impulse, works, path = borrowed(impulse), borrowed(works), borrowed(path)
     rows, friction, creep = contacts.rows, contacts.friction, contacts.creep
-    held_impulse, held_works = np.empty_like(impulse), np.empty_like(works)
+    held_impulse, held_works = np.empty(len(impulse)), np.empty(works.size)
     h, clock, held = LITTLE, 0.0, 0.0
     for step in range(1, most + 1):
         answer_signals()
@@ -182,12 +182,12 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
             held = 0.0
         else:
             if held == 0.0:
-                held_impulse[:] = impulse
-                held_works[:] = works
+                assign(held_impulse, impulse)
+                assign(held_works, works.ravel())
             held += h
             if held >= LOCKED:  # what is locked is pressed on, and that is of no impact
-                impulse[:] = held_impulse
-                works[:] = held_works
+                assign(impulse, held_impulse)
+                assign(works.ravel(), held_works)
                 return step
         at = np.zeros(rows.shape[1])
         for k in range(len(at)):
