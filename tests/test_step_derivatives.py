@@ -200,6 +200,34 @@ def test_a_box_that_falls_flat_while_it_slides_on_an_edge(turn, v):
     assert Boundary.EVENTS_COINCIDE in found.boundary  # they hold for small changes only
 
 
+def test_an_impact_right_at_the_start_of_a_step():
+    """Overlap that is removed on the floor moves a corner onto the wall: the next step has no length."""
+    model, size = box((0.2, 0.2, 0.1)), 0.5 * np.array([0.2, 0.2, 0.1])
+    model.addFrame(pin.Frame("top", 1, pin.SE3(np.eye(3), size), pin.FrameType.OP_FRAME))
+    floor = Contact("corner 1", Plane(), 0.3, 0.0)
+    wall = Contact("top", Plane((0.1, 0, 0), (-1, 0, 0)), 0.3, 0.4)
+    scene, data = Scene(model, [floor, wall]), model.createData()
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0, 0, 0.05, -0.01]))
+    q[2] -= floor.gap(model, data, q) - 1e-3
+    q[0] += wall.gap(model, data, q)
+    run, _ = agrees(scene, q, np.array([0, 0.2, -0.2, 0.1, -0.6, -0.2]), 0.04, 2e-3, tolerance=1e-4)
+    assert len(run.impacts) > 0
+
+
+def test_a_contact_that_opens_by_less_than_velocities_are_known():
+    """The iterations that press a corner less and less end before velocities are those of the other three."""
+    model = box((0.2, 0.2, 0.1))
+    scene = Scene(model, corners(0.5, 0.0))
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0, -0.221222, -0.070401, 1.159418]))
+    q[2] -= min(contact.gap(model, model.createData(), q) for contact in scene.contacts) - 2e-3
+    v = np.array([-0.116562, -0.098592, -0.823709, -1.431632, -0.251664, -1.265615])
+    found = simulate(scene, q, v, 0.1, scheme="time-stepping", dt=2e-3, sensitivities="state").sensitivity(
+        0.1
+    )
+    assert Boundary.EVENTS_COINCIDE in found.boundary
+    assert np.isnan(found.state[:6, 3]).all()  # they would be off by 0.5 %
+
+
 def panda():
     robot = pinimpact.load_robot("panda")
     robot.model.damping[:] = 0.5

@@ -345,7 +345,7 @@ class Sensitivities:
         while len(self._starts) <= number:
             k = len(self._starts)
             now = steps[k].start
-            struck, called = self._at(k, self._impacts), self._at(k, self._events)
+            struck, called = self._struck(k), self._at(k, self._events)
             if any(one.taken is not None for one in steps[max(k - 1, 0) : k + 1]):
                 self._starts.append(self._through_time_step(k, struck, called))
                 continue
@@ -372,6 +372,12 @@ class Sensitivities:
                     self._held.ask(now, steps[k].q, steps[k].v, x)
             self._starts.append((x, saltation.boundary))
         return self._starts[number]
+
+    def _struck(self, k: int) -> list[ImpactRecord]:
+        """Return the impacts at the start of step k, not those at the end of it if it has no length."""
+        reached = self._steps[k - 1].taken if k > 0 else None
+        whole = reached is not None and not reached.arriving and self._steps[k].taken is not None
+        return [] if whole else self._at(k, self._impacts)
 
     def _at(self, k: int, records: Sequence[Any]) -> list[Any]:
         """Return what has happened at the start of step k; the ends of time steps are rounded."""

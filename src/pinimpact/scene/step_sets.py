@@ -78,6 +78,18 @@ class _Sets:
         found = taken.found
         self.rounding = ROUNDING * np.abs(found.impulse).max(initial=0.0)
         self.still = TIED * max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end))
+        self.still = max(self.still, self._missed())
+
+    def _missed(self) -> float:
+        """Return the sum of what velocities of contacts and limits with impulses are off [m/s].
+
+        Velocities of others follow from these, and are known no better.
+        """
+        taken, rows = self.taken, self.taken.rows.normals
+        every = len(taken.rows.surface)
+        gap = np.concatenate([taken.rows.gap[: len(taken.rows.contacts)], taken.rows.gap[every:]])
+        off = taken.found.u_end[rows] + np.where(gap > -taken.overlap, gap / taken.h, 0.0)
+        return float(np.abs(off[taken.found.impulse[rows] > self.rounding]).sum())
 
     def tie(self) -> bool:
         """Decide a tie."""
