@@ -100,7 +100,7 @@ class SceneDynamics:
         self.driven = len(motors.velocity) > 0
         stiff = self.driven or layout.rate_of_damping(damping) > STIFF
         rough = any(contact.sustained_friction != 0.0 for contact in self.contacts)
-        alone = len(contacts) + len(limits) < 2
+        alone = len(contacts) < 2
         _compile(rough, stiff, None if alone else scene.simultaneous)  # before anything else calls kernels
         self.work = self._workspace(layout, robot, model, motors, damping, dry, len(held))
         if control is not None:
@@ -330,10 +330,11 @@ _compiled: set[tuple[bool, bool, str | None]] = set()
 
 
 def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
-    """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
+    """Compile or load all kernels that a scene is likely to call for, so that no run waits in its middle.
 
     Only a scene with friction (`rough`), or with drives or damping that is `stiff`, takes implicit steps;
-    only where two can touch at one instant impacts are resolved together, by the policy.
+    only where two contacts can touch at one instant impacts are resolved together, by the policy. (Joint
+    limits that are reached with a contact or each other at one instant are rare.)
     """
     if (rough, stiff, policy) in _compiled:
         return

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import Floats
-from ..._compile.jit import inlined
+from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, Floats, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.cone_program import cholesky, substitute
 from ..._numeric.tolerances import EPS, LITTLE, ROUNDOFF
 from .tolerances import NEGLIGIBLE
@@ -84,7 +85,11 @@ def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, for
     return False
 
 
-@inlined
+@declared(
+    *(FLOAT_ROWS, FLOATS, float, Springs, FLAGS, FLOATS, float, FLOATS, FLOATS, FLOATS),
+    result=bool,
+)
+@external
 def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
     """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
 
@@ -101,6 +106,8 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         target: (r,) c.
         y, v: Where to begin.
     """
+    rows, bound, springs, stiff = borrowed(rows), borrowed(bound), borrowed(springs), borrowed(stiff)
+    x, target, y, v = borrowed(x), borrowed(target), borrowed(y), borrowed(v)
     n, r = len(bound), len(y)
     gradient, matrix, way, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
     strongest, last = 0.0, math.inf
