@@ -19,6 +19,7 @@ from .propagation_advance import NO_ROW, advance, record, record_step, time_powe
 from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
+from .propagation_slow_slip import expand_slowly, missed_slowly
 from .propagation_state import RESUMED, State, System, begins, close, loads, open_contact, stored
 from .tolerances import AGREE, NEGLIGIBLE, SAME, SLIP_SPEED, SLOW
 
@@ -33,6 +34,12 @@ STEP, EVENT, ROW, POINT, ENDED = 0, 1, 2, 3, 4
 
 MOST_EVENTS = 200
 """Events per contact, at most, in which what is left of the approach does not fall to a half."""
+
+PATIENCE = 16
+"""Steps from one look for a slow motion to the next: as many as one look costs."""
+
+PARTS = 0.0, LITTLE
+"""Which turns of slip count as fast, in parts of the fastest: all that are, or those of the slowest slips."""
 
 FEWEST, PLASTIC_EVENTS = 500, 4
 """Events, and those per contact, after which it is first asked, where no contact restores anything, how an
@@ -138,12 +145,20 @@ def _go_to_event(
     unknown, inverse, weight = forces
     roots, guard, work = scratch
     turns, most = _presses_and_slips(state), counts[STEP] + most_steps
+    since, slowly = 0, False
     while True:
         answer_signals()
         if turns:
             unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
-        h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)
+        if slowly or since % PATIENCE == PATIENCE - 1:
+            h, pace = _expand_slow_step(
+                system, state, unknown, inverse, accuracy, series, ROUNDOFF if slowly else NEGLIGIBLE
+            )
+            slowly, root = h > 0.0, False
+        if not slowly:
+            h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)
         counts[STEP] += 1
+        since += 1
         if counts[STEP] > most:
             counts[ENDED] = 2
             return at_once, clock
@@ -198,6 +213,22 @@ def _expand_step(system, state, unknown, inverse, accuracy, series):
     pace = natural_pace(state, series)
     root = expand(system, state, unknown, inverse, ORDER, pace, series)
     return _step_length(system, series, accuracy, pace, LONGEST), pace, root
+
+
+@inlined
+def _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed):
+    """Expand the series of a step of the slow motion; return its longest length, 0 for none, and its pace.
+
+    `allowed` is by how much velocities may not be those that forces make.
+    """
+    slow, missed = np.empty((ORDER + 2, len(state.v))), np.empty((ORDER + 2, len(state.v)))
+    for part in PARTS:
+        pace = expand_slowly(system, state, unknown, inverse, series, part, slow, missed)
+        if pace > 0.0:
+            h = _step_length(system, series, accuracy, pace, LONGEST)
+            if missed_slowly(missed, h) <= allowed:
+                return h, pace
+    return 0.0, 1.0
 
 
 @inlined

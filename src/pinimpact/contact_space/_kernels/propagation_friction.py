@@ -114,6 +114,8 @@ def settle(system, state, series):
                 tangent[j] = STUCK
             # slips of one body begin in directions of one rigid motion; steps are no better at e = 0
             known = known and not (restores and tangent[j] == SLIPPING and state.fresh[j] == 1)
+    if shared and moves:
+        mark_shared(system, state)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     return unknown, inverse, weight, known
 

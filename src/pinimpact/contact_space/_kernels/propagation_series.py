@@ -169,56 +169,71 @@ def expand(system, state, unknown, inverse, order, pace, series):
         if hertz and loads(state.normal[j]) and state.indentation[j] <= 0.0:
             root = True
     fixed, rates = np.empty(len(unknown)), np.empty(n)
-    closed, ties, together, first = _what_changes(system, state, rates)
+    closed, ties, together, first = what_changes(system, state, rates)
     count, together = len(ties), together and order > 0
     answers = np.zeros((count, 3 * n))
     mechanism = new_mechanism(count if together else 0)
     for k in range(order + 1):
-        for i in range(3 * n):
-            force[k, i] = 0.0
-        for j in closed:
-            p = 3 * j
-            mode, tangent = state.normal[j], state.tangent[j]
-            normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
-            if loads(mode):
-                if hertz:
-                    normal = system.stiffness[j] * _power(series, system.exponent, k, j, root)
-                else:
-                    normal = system.stiffness[j] * indentation[k, j]
-            force[k, p + 2] = normal
-            if tangent == SLIPPING and begins(state.fresh[j]):
-                _known_direction(state, series, max(k - first, 0), j)
-                if first > 0 < k:  # F begins at zero, so that it does not matter yet
-                    unit[k, 2 * j] = unit[k, 2 * j + 1] = 0.0
-            elif tangent == SLIPPING:
-                _direction(series, k, j)
-            elif tangent == BOUND:
-                for i in range(2 * j, 2 * j + 2):
-                    unit[k, i] = state.direction[i] if k == 0 else 0.0
-            if tangent == STUCK:
-                force[k, p] += state.share[2 * j] * normal
-                force[k, p + 1] += state.share[2 * j + 1] * normal
-            elif tangent in (SLIPPING, BOUND):
-                for i in range(k + 1):
-                    force[k, p] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j]
-                    force[k, p + 1] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j + 1]
+        forces_of_order(system, state, series, k, first, root, closed)
         hold(system, state, unit[0], unknown, inverse, fixed, force[k])
         if count > 0 and k == first:
             for c in range(count):
                 answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[k], answers[c])
                 series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[k]) / (k + 1.0)
             if together:
-                _find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
+                find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
         elif together:
             turn_together(system, state, series, k, pace, ties, answers, mechanism)
         elif count > 0 and k > first:
             _turn(system, state, series, k, pace, ties, answers)
-        _integrate(system, rates, series, k, pace, root)
+        integrate(system, rates, series, k, pace, root)
     return root
 
 
 @inlined
-def _what_changes(system, state, rates):
+def forces_of_order(system, state, series, k, first, root, closed):
+    """Fill the coefficients k of directions of slip and of forces but for those of what holds.
+
+    Args:
+        k: The order; velocities and indentations are known up to it.
+        first: The order at which forces begin.
+        root: Whether series are in τ.
+        closed: The contacts that have forces.
+    """
+    friction, force, unit = system.friction, series.force, series.unit
+    hertz = system.exponent != 1.0
+    for i in range(force.shape[1]):
+        force[k, i] = 0.0
+    for j in closed:
+        p = 3 * j
+        mode, tangent = state.normal[j], state.tangent[j]
+        normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
+        if loads(mode):
+            if hertz:
+                normal = system.stiffness[j] * _power(series, system.exponent, k, j, root)
+            else:
+                normal = system.stiffness[j] * series.indentation[k, j]
+        force[k, p + 2] = normal
+        if tangent == SLIPPING and begins(state.fresh[j]):
+            _known_direction(state, series, max(k - first, 0), j)
+            if first > 0 < k:  # F begins at zero, so that it does not matter yet
+                unit[k, 2 * j] = unit[k, 2 * j + 1] = 0.0
+        elif tangent == SLIPPING:
+            _direction(series, k, j)
+        elif tangent == BOUND:
+            for i in range(2 * j, 2 * j + 2):
+                unit[k, i] = state.direction[i] if k == 0 else 0.0
+        if tangent == STUCK:
+            force[k, p] += state.share[2 * j] * normal
+            force[k, p + 1] += state.share[2 * j + 1] * normal
+        elif tangent in (SLIPPING, BOUND):
+            for i in range(k + 1):
+                force[k, p] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j]
+                force[k, p + 1] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j + 1]
+
+
+@inlined
+def what_changes(system, state, rates):
     """Fill the rates (n,) of indentations; return which contacts have forces, and how slips begin.
 
     These are the contacts where they do, whether as one mechanism, and the order at which their forces begin.
@@ -279,7 +294,7 @@ def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answe
 
 
 @inlined
-def _find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, mechanism):
+def find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, mechanism):
     """Set up the rigid motions with which slips begin together, with what is held."""
     size = 2 * len(ties)
     response, answer = np.empty((size, size)), np.empty(len(force))
@@ -390,7 +405,7 @@ def natural_pace(state, series):
 
 
 @inlined
-def _integrate(system, rates, series, k, pace, root):
+def integrate(system, rates, series, k, pace, root):
     """Fill the coefficients k + 1 of velocities and indentations."""
     w = system.w
     n = len(system.friction)
