@@ -119,7 +119,7 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
             forces_of_order(system, state, series, k, 0, False, closed)
             hold(system, state, series.unit[0], unknown, inverse, fixed, series.force[k])
             for _ in range(REFINED):
-                _balance(system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1])
+                _balance(system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1], missed[k])
             for i in range(n):
                 slow[k, i] = series.v[k, i]
             integrate(system, rates, series, k, pace, False)
@@ -228,7 +228,7 @@ def _take_slow(stiff, mechanism, null, slow, v, missed):
 
 
 @inlined
-def _balance(system, series, k, stiff, mechanism, least, factor, slow):
+def _balance(system, series, k, stiff, mechanism, least, factor, slow, missed):
     """Turn slip of order k until forces make of velocities what the pass before has one order higher.
 
     Args:
@@ -240,6 +240,7 @@ def _balance(system, series, k, stiff, mechanism, least, factor, slow):
         least: Part of the fastest turn below which velocities stay.
         factor: From that order to forces.
         slow: (3n,) the velocities of that order.
+        missed: (3n,) what is added to those of order k, changed.
     """
     ties, right, turn = stiff.ties, stiff.right, stiff.turn
     v, speed, unit, force = series.v, series.speed, series.unit, series.force
@@ -251,7 +252,10 @@ def _balance(system, series, k, stiff, mechanism, least, factor, slow):
     forward(mechanism.lower, mechanism.order, r, right, left)
     least_norm(stiff.matrix, left, least, turn, np.empty((0, r)))
     for a in range(len(right)):
-        v[k, 3 * ties[a // 2] + a % 2] += dot(mechanism.lower[a, :r], turn)
+        i = 3 * ties[a // 2] + a % 2
+        change = dot(mechanism.lower[a, :r], turn)
+        v[k, i] += change
+        missed[i] += change
     for c in range(len(ties)):
         j = ties[c]
         x = dot(mechanism.across[c, :r], turn) / speed[0, j]
