@@ -97,17 +97,14 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
             apart, check = 0.0, 2 * counts[EVENT]
         if fastest <= slower:  # a series of impacts that dies out
             slower, most_events = 0.5 * fastest, counts[EVENT] + MOST_EVENTS * n
-        if counts[ENDED] == 2 or counts[EVENT] >= most_events:
+        if counts[ENDED] == 2 or counts[EVENT] >= most_events or counts[STEP] > most_steps * (n + 1):
             counts[ENDED] = 2
             return True
         if not presses:
             _fly(system, state, time)
             clock += time
             counts[EVENT] += 1
-        unknown, inverse, weight, known = settle(system, state, series)
-        if not known:
-            counts[ENDED] = 2
-            return True
+        unknown, inverse, weight = settle(system, state, series)
         if not _ring(system, state, unknown, inverse, series):
             at_once, clock = _go_to_event(
                 *(system, state, series, (unknown, inverse, weight), scratch, accuracy, most_steps),

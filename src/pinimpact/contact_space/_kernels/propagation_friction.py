@@ -48,24 +48,22 @@ NEARBY = 1e-6
 little power: without it rounding decides between them, and the rounds do not converge."""
 
 
-@declared(System, State, Series, result=types.Tuple((INTEGERS, FLOAT_ROWS, FLOATS, types.boolean)))
+@declared(System, State, Series, result=types.Tuple((INTEGERS, FLOAT_ROWS, FLOATS)))
 @external
 def settle(system, state, series):
     """Bring the modes of contacts that do not slip, or are held, to what the forces ask for.
 
     Returns:
-        The places of the unknown forces, the matrix that solves for them, their weights, and whether modes
-        are known: not where contacts that can hold in several ways come to their bounds together.
+        The places of the unknown forces, the matrix that solves for them, and their weights.
     """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
     n = len(system.friction)
     normal, tangent = state.normal, state.tangent
     none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
     stuck, held = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    asked, at_bound, any_held, restores = 0, False, False, True
+    asked, at_bound, any_held = 0, False, False
     for j in range(n):
         state.shared[j] = NOT_SHARED
-        restores = restores and system.unloading[j] > 0.0
         if normal[j] == HELD:
             any_held = True
             held[j] = 1
@@ -79,7 +77,7 @@ def settle(system, state, series):
             at_bound = at_bound or state.fresh[j] == AT_BOUND
             asked += 2
     if asked == 0:
-        return none, no_inverse, np.empty(0), True
+        return none, no_inverse, np.empty(0)
     p, weight, cap, unit = np.zeros(3 * n), np.zeros(n), np.zeros(n), np.zeros(2 * n)
     heaviest, root = _look_ahead(system, state, series, stuck, held, p, weight, cap, unit)
     unknown = bounded_unknowns(system, state)
@@ -93,31 +91,23 @@ def settle(system, state, series):
     shared = not any_held and mark_shared(system, state)
     fits = _fits(system, state, cap, unknown, forces, scale)
     if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
-        return unknown, inverse, weight, True
+        return unknown, inverse, weight
     if not root and begin_at_bound(system, state, unit, weight, series):
         if shared:  # those that still stick may be the only ones that can
             mark_shared(system, state)
-        unknown, inverse, weight = unknown_after(system, state, unit, weight)
-        return unknown, inverse, weight, True
-    if shared and restores and at_bound and root:
-        return unknown, inverse, weight, False
+        return unknown_after(system, state, unit, weight)
     if shared and (fits or holds_now(system, state, p)):
-        return unknown, inverse, weight, True
+        return unknown, inverse, weight
     moves = not fits and _admit(system, state, unit, cap, p, heaviest, not root, forces)
     if not fits and not root:
         align(system, state, unit, weight, series)
-    known = True
     for j in range(n):
-        if shared and stuck[j] == 1:
-            if not moves:
-                state.share[2 * j], state.share[2 * j + 1] = 0.0, 0.0
-                tangent[j] = STUCK
-            # slips of one body begin in directions of one rigid motion; steps are no better at e = 0
-            known = known and not (restores and tangent[j] == SLIPPING and state.fresh[j] == 1)
+        if shared and stuck[j] == 1 and not moves:
+            state.share[2 * j], state.share[2 * j + 1] = 0.0, 0.0
+            tangent[j] = STUCK
     if shared and moves:
         mark_shared(system, state)
-    unknown, inverse, weight = unknown_after(system, state, unit, weight)
-    return unknown, inverse, weight, known
+    return unknown_after(system, state, unit, weight)
 
 
 @inlined
