@@ -163,6 +163,21 @@ def compare_with_steps(problem):
     assert solution.work.friction.sum() == pytest.approx(by_steps.work.friction.sum(), abs=1e-9)
 
 
+@pytest.mark.parametrize("off", [1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_slip_of_uneven_corners_is_followed_from_event_to_event(off, seed):
+    """It is as slow as they are uneven, and would turn in as short a time; short steps are independent."""
+    rng = np.random.default_rng(seed)
+    corners = np.column_stack([BOX, np.full(4, -0.05)]) + 0.05 * off * rng.normal(size=(4, 3))
+    w, jacobian = body(corners[:, :2], -corners[:, 2])
+    u = np.array([*rng.uniform(-0.3, 0.3, 2), -1.0, *rng.uniform(-0.2, 0.2, 2), rng.uniform(-3.0, 3.0)])
+    problem = ImpactProblem(w, (jacobian @ u).reshape(-1, 3), 0.6, 0.7, "energetic")
+    solution = solve_impact(problem)
+    assert solution.notes == ()
+    by_steps = _propagate_in_steps(many_inputs(problem), 1.0, False, 1e-10)
+    assert solution.velocity == pytest.approx(by_steps.velocity, abs=1e-9)
+
+
 @pytest.mark.parametrize("seed", [43, 204, 208, 241, 393, 493])
 def test_no_restitution_at_one_of_redundant_contacts_is_the_limit(seed):
     """Slip begins at contacts that share their friction before one without restitution is at its peak."""

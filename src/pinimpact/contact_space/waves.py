@@ -24,8 +24,8 @@ RTOL, LEAST_RTOL = 1e-16, 1e-17
 """Relative accuracy of the series of a step: the default, and the least."""
 
 MOST_STEPS = 1000
-"""Steps from one event to the next, at most: about as many as adaptive steps take through the whole impact,
-whose number is as the fourth root of their accuracy."""
+"""Steps from one event to the next, and per contact in all, at most: about as many as adaptive steps take
+through the whole impact, whose number is as the fourth root of their accuracy."""
 
 COARSEST = 0.1 * LITTLE
 """The least accuracy that may be asked of adaptive steps."""

@@ -38,12 +38,12 @@ def propagate(
         stiffness: (n,) κ.
         exponent: η, 1 or 3/2.
         accuracy: Part of the velocities that a step may miss.
-        most_steps: A bound on the steps from one event to the next.
+        most_steps: A bound on the steps from one event to the next, and on all, per contact.
         v: (3n,) takes the velocities after it.
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
         counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, 1
-            since all was slow or plastic, 2 not: modes are not known, or steps or events at their bound.
+            since all was slow or plastic, 2 not: steps or events at their bound.
         rows: (m, 5) takes contact, mode, phase, P₃ at start and end; (0, 5): not wanted.
         path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
 

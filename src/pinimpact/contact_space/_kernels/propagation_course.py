@@ -97,7 +97,7 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
             apart, check = 0.0, 2 * counts[EVENT]
         if fastest <= slower:  # a series of impacts that dies out
             slower, most_events = 0.5 * fastest, counts[EVENT] + MOST_EVENTS * n
-        if counts[ENDED] == 2 or counts[EVENT] >= most_events or counts[STEP] > most_steps * (n + 1):
+        if counts[ENDED] == 2 or counts[EVENT] >= most_events or counts[STEP] > most_steps * n:
             counts[ENDED] = 2
             return True
         if not presses:
