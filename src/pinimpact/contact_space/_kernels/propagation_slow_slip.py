@@ -1,4 +1,4 @@
-"""Slip that is far slower than its direction would turn: series of the slow motion. (theory.md, 14.15)
+"""Slip that is far slower than its direction would turn: series of the slow motion. (theory.md, 14)
 
 Slip of 10⁻⁶ of the largest velocity, as where corners do not lie quite in a plane, turns in a clock of 10⁻⁶
 to where friction and the other forces are in equilibrium, and follows that from then on.
@@ -98,7 +98,7 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
     pace, least = 1.0, max(STIFF / fastest, part) if fastest > 0.0 else 1.0
     null = np.zeros(stiff.matrix.shape)
     for turn in range(PASSES + 1):
-        if turn == 1:  # the first one has told how fast the motion changes
+        if turn == 1:  # the first one shows how fast the motion changes
             off = _moved(state, slow)
             pace = _pace_of(series, ties, slow)
             if not off <= NEAR * _slowest(series, ties):
