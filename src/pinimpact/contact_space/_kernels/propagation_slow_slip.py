@@ -41,6 +41,7 @@ PASSES = 5
 REFINED = 2
 """How often linear equations are solved: L is right to `NEGLIGIBLE`, forces then to rounding."""
 
+
 NEAR = 0.1
 """Part of the speed of a slip by which the slow motion may be off it, where changes are left out."""
 
@@ -275,5 +276,7 @@ def missed_slowly(missed, h):
         total = abs(missed[ORDER, i])
         for k in range(ORDER - 1, -1, -1):
             total = total * h + abs(missed[k, i])
+        if not total < math.inf:  # where series diverge from pass to pass
+            return math.inf
         largest = max(largest, total)
     return largest
