@@ -29,6 +29,8 @@ PANDA = (
 IMPACT = f"{PANDA}; pinimpact.impact(robot.model, robot.data, q, 0 * q - 0.1, hand)"
 SCENE = f"{PANDA}; pinimpact.simulate(pinimpact.Scene(robot, [hand]), q, 0 * q, 0.01)"
 """A flight that touches nothing; what a later touch needs is compiled all the same."""
+TWO = SCENE.replace("[hand]", "[hand, pinimpact.Contact('panda_leftfinger', table)]")
+"""The same with two contacts, which may collide at one instant."""
 
 
 def run(code: str, cache: str | None = None, package: str | None = None) -> float:
@@ -67,6 +69,7 @@ def measure() -> list[dict]:
         ("first solve_impact", PROBLEM, 8.0),
         ("first impact of a robot", IMPACT, 8.0),
         ("first scene", SCENE, 20.0),
+        ("first scene of several contacts", TWO, 20.0),
     ):
         with tempfile.TemporaryDirectory() as cache:
             rows.append(row(f"{what}, cold cache", run(CALL.format(code), cache), goal))

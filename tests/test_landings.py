@@ -31,7 +31,7 @@ STOOL = [(0.06, 0.0), (-0.03, 0.05), (-0.03, -0.05)]
 
 
 def landing_by_steps():
-    """W and velocities of a box with uneven corners: it creeps about one of them for long."""
+    """W and velocities of a box with uneven corners, of which two slip far more slowly than the others."""
     w, jacobian = body(BOX, (0.05, 0.0501, 0.04995, 0.05003))
     return w, (jacobian @ np.array((0.3, 0.0, -1.0, 0.0, 0.0, 0.5))).reshape(-1, 3)
 
