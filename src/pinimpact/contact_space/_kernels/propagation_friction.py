@@ -101,12 +101,13 @@ def settle(system, state, series):
     moves = not fits and _admit(system, state, unit, cap, p, heaviest, not root, forces)
     if not fits and not root:
         align(system, state, unit, weight, series)
-    for j in range(n):
-        if shared and stuck[j] == 1 and not moves:
-            state.share[2 * j], state.share[2 * j + 1] = 0.0, 0.0
-            tangent[j] = STUCK
     if shared and moves:
         mark_shared(system, state)
+    elif shared:
+        for j in range(n):
+            if stuck[j] == 1:
+                state.share[2 * j], state.share[2 * j + 1] = 0.0, 0.0
+                tangent[j] = STUCK
     return unknown_after(system, state, unit, weight)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined
+from ..._numeric.elimination import largest_of
 from ..._numeric.least_norm import least_norm
 from ..._numeric.products import dot
 from ..._numeric.semidefinite import forward
@@ -40,7 +41,6 @@ PASSES = 5
 
 REFINED = 2
 """How often linear equations are solved: L is right to `NEGLIGIBLE`, forces then to rounding."""
-
 
 NEAR = 0.1
 """Part of the speed of a slip by which the slow motion may be off it, where changes are left out."""
@@ -87,7 +87,6 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
     for i in range(n):
         series.v[0, i] = slow[0, i] = state.v[i]
         series.changes[i] = 0
-        missed[0, i] = 0.0
         for k in range(1, ORDER + 2):
             slow[k, i] = 0.0
     for j in range(len(rates)):
@@ -100,10 +99,9 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
     null = np.zeros(stiff.matrix.shape)
     for turn in range(PASSES + 1):
         if turn == 1:  # the first one shows how fast the motion changes
-            off = _moved(state, slow)
-            pace = _pace_of(series, ties, slow)
-            if not off <= NEAR * _slowest(series, ties):
+            if not largest_of(missed[0], 0) <= NEAR * _slowest(series, ties):
                 return 0.0
+            pace = _pace_of(series, ties, slow)
             least = max(STIFF / (pace * fastest), part)
             for i in range(n):
                 slow[0, i] = state.v[i]
@@ -116,7 +114,7 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
                 _take_slow(stiff, mechanism, null[:free], slow[k], series.v[k], missed[k])
             else:
                 for i in range(n):
-                    series.v[0, i] = slow[0, i]
+                    series.v[0, i], missed[0, i] = slow[0, i], slow[0, i] - state.v[i]
             forces_of_order(system, state, series, k, 0, False, closed)
             hold(system, state, series.unit[0], unknown, inverse, fixed, series.force[k])
             for _ in range(REFINED):
@@ -126,8 +124,6 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
             integrate(system, rates, series, k, pace, False)
         if turn > 1 and missed_slowly(missed, 1.0) <= ROUNDOFF:
             break
-    for i in range(n):
-        missed[0, i] = slow[0, i] - state.v[i]
     return pace
 
 
@@ -168,15 +164,6 @@ def _set_up(system, state, series, unknown, inverse, ties, closed):
             for b in range(r):
                 matrix[a, b] += push * across[c, a] * across[c, b]
     return Stiff(ties, answers, matrix, np.empty(2 * m), np.empty(r)), mechanism, fixed
-
-
-@inlined
-def _moved(state, slow):
-    """Return by how much the slow motion is off the state."""
-    change = 0.0
-    for i in range(len(state.v)):
-        change = max(change, abs(slow[0, i] - state.v[i]))
-    return change
 
 
 @inlined
