@@ -10,7 +10,7 @@ from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import jit
 from ..._numeric.augmented_newton import VelocityProblem
 from ..._numeric.loops import flags
-from ..._numeric.tolerances import LITTLE
+from ..._numeric.tolerances import LITTLE, SETTLED
 from .dynamics import ABA, call_python, set_state
 from .midpoint_step import fill_rows
 from .step_impulses import step_impulses
@@ -64,5 +64,4 @@ def least_displacement(system, rows, displacement, pushes):
         *(free, none, lower, upper, none),
     )
     begin, active = np.zeros(len(displacement)), flags(n, True)
-    # in two iterations
-    step_impulses(problem, active, system.tree, LITTLE, LITTLE * LITTLE, begin, displacement, pushes)
+    step_impulses(problem, active, system.tree, LITTLE, SETTLED, begin, displacement, pushes)
