@@ -114,6 +114,18 @@ def test_what_falls_among_solids_ends_with_its_energy_accounted_for(scene, seed)
     assert np.abs(steps.energy.residual).max() < 1e-2 * lost
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_a_plank_that_falls_flat_onto_two_blocks_rises_without_turning(restitution):
+    """It meets both at one instant, to rounding, so that both take part in one impact."""
+    blocks = {side: Box((0.1, 0.2, 0.1), center=(x, 0, 0.05)) for side, x in (("left", -0.4), ("right", 0.4))}
+    scene, t = among((1.0, 0.2, 0.05), 2.0, blocks, 0.5, restitution), np.sqrt(2.0 * 0.2 / G)
+    run = simulate(scene, [0, 0, 0.325, *UP], np.zeros(6), t + 0.05)
+    rise = restitution * G * t - 0.05 * G if restitution > 0.0 else 0.0
+    np.testing.assert_allclose(run.v[-1], [0, 0, rise, 0, 0, 0], atol=1e-9)
+    assert len({impact.time for impact in run.impacts}) == 1
+    assert len(run.impacts) == 8  # one for each corner of a touch
+
+
 def grippers(squeeze):
     """Two pairs of fingers about a cube: the second closes at 0.15 s, the first opens at 0.3 s."""
     model, shapes = body("cube", (0.05, 0.05, 0.05), 0.1)

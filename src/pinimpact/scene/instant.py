@@ -151,6 +151,8 @@ class Instant:
         where[:] = APART
         if arriving is not None:
             where[arriving] = ARRIVING
+            if self.shapes:
+                where[self.shapes.join(self.state.q, self.state.v)] = ARRIVING
         if self.shapes:
             self.shapes.refresh(self.state.q)
         self._hit[:] = False

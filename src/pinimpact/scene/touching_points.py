@@ -199,6 +199,24 @@ class TouchingPoints:
                 filled += self._fill(watched, touching, placed, found.normal)
         return filled
 
+    def join(self, q: Array, v: Array) -> list[int]:
+        """Let the other pairs touch that approach and are as near as what touches; return the places filled.
+
+        What arrives at an instant arrives together: a plank that falls flat onto two blocks.
+        """
+        touching = self._state.touching
+        near = [k for k in np.flatnonzero(self._apart.at(q) <= self.tolerance).tolist() if k not in touching]
+        filled: list[int] = []
+        if near:
+            forward_kinematics(self._model, self._data, q, v)
+        for watched in (self._pairs[k] for k in near):
+            placed = watched.pair.placed(self._data)
+            found = gap(*placed)
+            if found.value <= self.tolerance and self._fastest(watched, placed, found.normal) < 0.0:
+                within = max(self.tolerance, abs(found.value))
+                filled += self._fill(watched, touches(*placed, found.normal, within), placed, found.normal)
+        return filled
+
     def refresh(self, q: Array) -> None:
         """Bring the contacts of what touches, as impacts take them, to a configuration."""
         touching = self._touching()
