@@ -657,3 +657,25 @@ def test_dry_friction_takes_from_a_hinge_what_its_moment_does():
     np.testing.assert_allclose(motion.energy.joints, -moment * turned, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(motion.energy.residual, 0.0, atol=1e-12)
     assert motion.v[-1, 0] > 0.0
+
+
+@pytest.mark.parametrize("spin", [0.0, 30.0, 180.0])
+def test_a_ball_that_spins_fast_flies_and_rolls_as_one_that_does_not(spin):
+    """Its linear velocity is in axes that turn with it; steps are halved until these turn little."""
+    radius, t = 0.028, 0.5
+    model, shapes = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(0.17, radius), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    ball = pin.GeometryObject("ball_0", joint, pin.SE3.Identity(), coal.Sphere(radius))
+    shapes.addGeometryObject(ball)
+    unbounded(model)
+    contacts = [Contact(geometry="ball_0", plane=FLOOR, friction=0.2)]
+    scene = Scene(model, contacts, geometry=shapes)
+    flight = simulate(scene, [0, 0, 9, *UP], [1.5, 0, 0, 0, spin, 0], t, scheme="time-stepping")
+    np.testing.assert_allclose(flight.q[-1, :3], [1.5 * t, 0, 9 - 0.5 * 9.81 * t**2], atol=2e-3)
+    speed = spin * radius
+    rolling = simulate(scene, [0, 0, radius, *UP], [speed, 0, 0, 0, spin, 0], t, scheme="time-stepping")
+    np.testing.assert_allclose(rolling.q[-1, :3], [speed * t, 0, radius], atol=2e-3)
+    for run in (flight, rolling):
+        assert np.abs(run.energy.residual).max() < 1e-3 * max(run.energy.kinetic.max(), 1e-3)

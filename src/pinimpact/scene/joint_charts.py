@@ -59,3 +59,14 @@ def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
             if kind == RIGID:
                 rates[i : i + 3, j : j + 3] = pin.Quaternion(w, x, y, z).matrix()
     return rates
+
+
+def fastest_turn(charts: Integers, v: Array) -> float:
+    """Return the largest speed of what turns the axes of its own linear velocity: of free bodies [rad/s]."""
+    fastest = 0.0
+    for kind, _, j, _ in charts.tolist():
+        if kind == RIGID:
+            fastest = max(fastest, float(np.linalg.norm(v[j + 3 : j + 6])))
+        elif kind == PLANAR:
+            fastest = max(fastest, abs(float(v[j + 2])))
+    return fastest
