@@ -337,3 +337,9 @@ def test_motors_of_a_file_are_a_joint_pd_within_their_effort(tmp_path: Path) -> 
     for wrong in ("largest_effort = 0.0", "largest_effort = 1.5\ncancel_gravity = true"):
         with pytest.raises(pinimpact.InputError, match=r"control\.largest_effort"):
             scene_of(tmp_path, text.replace("[control]", f"[control]\n{wrong}"))
+
+
+@pytest.mark.parametrize(("value", "kind"), [("30 cm", "an angle"), ("2 kg", "a time")])
+def test_a_value_of_another_unit_is_told_in_good_english(value, kind):
+    with pytest.raises(ValueError, match=f"'{value}' is not {kind}; its units are"):
+        quantity(value, kind.split()[1])
