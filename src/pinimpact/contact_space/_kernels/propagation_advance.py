@@ -26,7 +26,7 @@ from .codes import (
 from .first_fall import value_at
 from .propagation_series import POINTS, Series
 from .propagation_sharing import spread
-from .propagation_state import LATE, UNEVEN, State, System, open_contact, rate, stored
+from .propagation_state import UNEVEN, State, System, open_contact, rate, stored
 from .tolerances import SLIP_SPEED, SLOW
 
 
@@ -108,8 +108,6 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
         speed = math.hypot(state.v[x], state.v[y])
         if speed > 10.0 * SLIP_SPEED:
             state.fresh[j] = 0
-        elif state.fresh[j] == LATE and h > 0.0:
-            state.fresh[j] = 1
         if speed > SLOW and state.tangent[j] != FREE:
             state.tangent[j] = SLIPPING
         if state.normal[j] == HELD and abs(state.v[z]) > SLOW:

@@ -20,8 +20,8 @@ from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
 from .propagation_slow_slip import expand_slowly, missed_slowly
-from .propagation_state import RESUMED, State, System, begins, close, loads, open_contact, stored
-from .tolerances import AGREE, NEGLIGIBLE, SAME, SLIP_SPEED, SLOW
+from .propagation_state import BEGUN, TIED, State, System, begin_to_slip, close, loads, open_contact, stored
+from .tolerances import AGREE, NEGLIGIBLE, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
 """Order of the series that tells the pace of slips."""
@@ -142,25 +142,26 @@ def _go_to_event(
     unknown, inverse, weight = forces
     roots, guard, work = scratch
     turns, most = _presses_and_slips(state), counts[STEP] + most_steps
-    since, slowly = 0, False
+    since, slowly, begun = 0, False, (state.fresh == BEGUN).any()
     while True:
         answer_signals()
         if turns:
             unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
-        if slowly or since % PATIENCE == PATIENCE - 1:
-            h, pace = _expand_slow_step(
-                system, state, unknown, inverse, accuracy, series, ROUNDOFF if slowly else NEGLIGIBLE
-            )
-            slowly, root = h > 0.0, False
-        if not slowly:
+        root, tied = False, since == 0 and (state.fresh == TIED).any()
+        if tied:
+            h, pace = _expand_onset(system, state, unknown, inverse, accuracy, series)
+            tied = h > 0.0
+        if not tied and (slowly or begun or since % PATIENCE == PATIENCE - 1):
+            allowed = ROUNDOFF if slowly else NEGLIGIBLE
+            h, pace = _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed)
+            slowly, begun = h > 0.0, False
+        if not (tied or slowly):
             h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)
         counts[STEP] += 1
         since += 1
         if counts[STEP] > most:
             counts[ENDED] = 2
             return at_once, clock
-        if _begins_badly(state, series, h):
-            continue
         if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
             _loaded_ends(state)
             return at_once, clock
@@ -175,6 +176,9 @@ def _go_to_event(
             if path.shape[0] > 0:
                 counts[POINT] = record_step(path, counts[POINT], clock, series, state, h, degree, pace, root)
             clock += time_power(NONE_YET, h, pace, root)
+        for j in range(len(state.fresh) if tied else 0):
+            if state.fresh[j] == TIED:
+                begin_to_slip(state, j)
         if first <= h:
             apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
             return at_once + 1, clock
@@ -213,6 +217,28 @@ def _expand_step(system, state, unknown, inverse, accuracy, series):
 
 
 @inlined
+def _expand_onset(system, state, unknown, inverse, accuracy, series):
+    """Expand the series of a step with which slips begin together; return its longest length and its pace.
+
+    The length is 0 where not all begin, ρ > 0, or where they do not reach the speed at which others begin.
+    """
+    for i in range(len(state.v)):
+        if state.fresh[i // 3] == TIED and i % 3 < 2:
+            state.v[i] = 0.0
+    h, pace, _ = _expand_step(system, state, unknown, inverse, accuracy, series)
+    slowest = math.inf
+    for j in range(len(state.fresh)):
+        if state.fresh[j] == TIED:
+            slowest = min(slowest, series.speed[0, j] * h * h)
+    if slowest > SLIP_SPEED:
+        return h, pace
+    for j in range(len(state.fresh)):
+        if state.fresh[j] == TIED:
+            begin_to_slip(state, j)
+    return 0.0, 1.0
+
+
+@inlined
 def _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed):
     """Expand the series of a step of the slow motion; return its longest length, 0 for none, and its pace.
 
@@ -234,25 +260,6 @@ def _presses_and_slips(state):
     found = False
     for j in range(len(state.normal)):
         found = found or (state.normal[j] == HELD and state.tangent[j] == SLIPPING)
-    return found
-
-
-@inlined
-def _begins_badly(state, series, h):
-    """Let a slip whose series reaches nowhere begin at a speed that does not matter; tell whether any did.
-
-    The accelerations of one that begins at the bound of friction are not zero by as much as forces are off,
-    and turn it in no time.
-    """
-    found = False
-    for j in range(len(state.normal)):
-        if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
-            speed = series.speed[0, j] * h * (1.0 if state.fresh[j] == RESUMED else h)
-            if speed < SAME * SLIP_SPEED:
-                state.fresh[j] = 1
-                state.v[3 * j] = SLIP_SPEED * state.direction[2 * j]
-                state.v[3 * j + 1] = SLIP_SPEED * state.direction[2 * j + 1]
-                found = True
     return found
 
 

@@ -16,14 +16,12 @@ from .propagation_series import ORDER, SHORT, Series
 from .propagation_sharing import limit_of_holding
 from .propagation_state import (
     AT_BOUND,
-    LATE,
     NOT_SHARED,
     SHARED,
     TIED,
     UNEVEN,
     State,
     System,
-    begins,
     close,
     open_contact,
     stick,
@@ -145,15 +143,13 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
     ux, uy, fresh = series.unit[0, 2 * j], series.unit[0, 2 * j + 1], state.fresh[j]
     for k in range(ORDER + 1):
         guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
-    if begins(fresh):  # it begins with s² or s
-        guard[0] = 0.0
-    if fresh in (TIED, LATE):
-        guard[1] = 0.0
+    if fresh == TIED:  # it begins with s²
+        guard[0] = guard[1] = 0.0
     time = _fall(guard, reach, 0.0, False, work)
     if time < NEVER:
         across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
         return (time if abs(across) <= 10.0 * ROUNDOFF else NEVER), False
-    if not speed < STOPS or begins(fresh):
+    if not speed < STOPS or fresh == TIED:
         return NEVER, False
     along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
     near = speed <= REACH * h * -along  # else something else happens long before

@@ -24,9 +24,18 @@ from .propagation_series import (
     unknown_after,
 )
 from .propagation_sharing import holds_now, mark_shared
-from .propagation_slip_onset import align, begin_at_bound
-from .propagation_state import AT_BOUND, LATE, NOT_SHARED, RESUMED, State, System, friction_share, loads
-from .tolerances import AHEAD, BEGINS, NEGLIGIBLE, OPTIMAL, SAME, SLIP_SPEED, UNTURNED
+from .propagation_state import (
+    AT_BOUND,
+    NOT_SHARED,
+    TIED,
+    State,
+    System,
+    begin_to_slip,
+    friction_share,
+    loads,
+    stick,
+)
+from .tolerances import AHEAD, NEGLIGIBLE, OPTIMAL, SAME, UNTURNED
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
@@ -79,7 +88,7 @@ def settle(system, state, series):
     if asked == 0:
         return none, no_inverse, np.empty(0)
     p, weight, cap, unit = np.zeros(3 * n), np.zeros(n), np.zeros(n), np.zeros(2 * n)
-    heaviest, root = _look_ahead(system, state, series, stuck, held, p, weight, cap, unit)
+    root = _look_ahead(system, state, series, stuck, held, p, weight, cap, unit)
     unknown = bounded_unknowns(system, state)
     inverse = np.empty((len(unknown), len(unknown)))
     force_inverse(system, state, unit, unknown, weight, inverse)
@@ -92,15 +101,13 @@ def settle(system, state, series):
     fits = _fits(system, state, cap, unknown, forces, scale)
     if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
         return unknown, inverse, weight
-    if not root and begin_at_bound(system, state, unit, weight, series):
+    if _begin_at_bound(system, state, not root, unit, weight, series):
         if shared:  # those that still stick may be the only ones that can
             mark_shared(system, state)
         return unknown_after(system, state, unit, weight)
     if shared and (fits or holds_now(system, state, p)):
         return unknown, inverse, weight
-    moves = not fits and _admit(system, state, unit, cap, p, heaviest, not root, forces)
-    if not fits and not root:
-        align(system, state, unit, weight, series)
+    moves = not fits and _admit(system, state, unit, cap, p, forces)
     if shared and moves:
         mark_shared(system, state)
     elif shared:
@@ -127,7 +134,7 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
         unit: (2n,) zero; takes directions of slip.
 
     Returns:
-        The largest weight, and whether series are in √s.
+        Whether series are in √s.
     """
     n, normal, tangent = len(weight), state.normal, state.tangent
     for j in range(n):
@@ -164,7 +171,44 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
             unit[2 * j], unit[2 * j + 1] = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
     for j in range(n):
         weight[j] = max(weight[j], NEGLIGIBLE * heaviest)
-    return heaviest, root
+    return root
+
+
+@inlined
+def _begin_at_bound(system, state, smooth, unit, weight, series):
+    """Let contacts slip whose friction has come to its bound; return whether there are any.
+
+    Of those that share it the ones do whose slip, v_t = s² ρ u, has ρ > 0 at its beginning; where none has,
+    each that is there by itself. (14.14)
+    """
+    n, found, tied = len(system.friction), False, 0
+    for j in range(n):
+        if state.fresh[j] == AT_BOUND and state.tangent[j] == STUCK:
+            begin_to_slip(state, j)
+            found = True
+            if smooth and state.shared[j] != NOT_SHARED:
+                state.fresh[j] = TIED
+                tied += 1
+    at_bound, dropped = state.fresh.copy(), tied
+    while tied > 0 and dropped > 0:
+        unknown, inverse, weight = unknown_after(system, state, unit, weight)
+        expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
+        dropped = 0
+        for j in range(n):
+            if state.fresh[j] == TIED:
+                size = 0.0
+                for i in range(3 * n):
+                    row = abs(system.w[3 * j, i]) + abs(system.w[3 * j + 1, i])
+                    size += row * abs(series.force[1, i])
+                if not series.speed[0, j] > NEGLIGIBLE * size:
+                    stick(state, j)
+                    state.fresh[j] = 0
+                    dropped += 1
+        tied -= dropped
+    for j in range(n):
+        if at_bound[j] == TIED and tied == 0:
+            begin_to_slip(state, j)
+    return found
 
 
 @inlined
@@ -198,15 +242,13 @@ def _within_bounds(system, state, forces, part):
 
 
 @inlined
-def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
+def _admit(system, state, unit, cap, p, forces):
     """Find forces within their bounds that let nothing move that they can hold, and the modes they stand for.
 
     Returns whether anything moves.
 
     Args:
         p: (3n,) forces but for those of friction that holds, and of what is held.
-        heaviest: The largest force in the time to come.
-        smooth: Whether forces have series in the clock.
         forces: (3n,) takes them all.
     """
     w, friction = system.w, system.friction
@@ -223,12 +265,9 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
         change = max(change, _press_held(system, state, unit, cap, forces))
         if change <= NEGLIGIBLE:
             break
-    scale, strongest, moves, late = 0.0, 0.0, False, smooth
+    scale, moves = 0.0, False
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
-    for j in range(n):
-        strongest = max(strongest, p[3 * j + 2])
-        late = late and not (loads(state.normal[j]) and state.indentation[j] > 0.0)
     for j in range(n):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         if state.tangent[j] == STUCK:
@@ -241,15 +280,8 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
             fastest = math.hypot(ax, ay)
             slack = (bound - length) * (w[x, x] + w[y, y])
             if fastest > max(NEGLIGIBLE * size, slack):
-                ux, uy = ax / fastest, ay / fastest
-                if length > 0.0 and (not late or p[z] > BEGINS * strongest):
-                    ux, uy = -forces[x] / length, -forces[y] / length
-                firm = late or (smooth and length > 0.0 and p[z] > BEGINS * heaviest)
-                state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
-                start = 0.0 if firm else SLIP_SPEED
-                state.v[x], state.v[y] = start * ux, start * uy
-                state.fresh[j] = LATE if late else (RESUMED if firm else 1)
-                state.tangent[j] = SLIPPING
+                state.direction[2 * j], state.direction[2 * j + 1] = ax / fastest, ay / fastest
+                begin_to_slip(state, j)
                 moves = True
             elif bound > 0.0 and length < (1.0 - SAME) * bound:
                 state.share[2 * j], state.share[2 * j + 1] = forces[x] / forces[z], forces[y] / forces[z]

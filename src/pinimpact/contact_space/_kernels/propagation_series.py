@@ -13,23 +13,11 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, FloatRows, Integers, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.elimination import solve
-from ..._numeric.least_norm import least_norm, least_norms
+from ..._numeric.least_norm import least_norms
 from ..._numeric.products import dot
 from .codes import BOUND, FREE, HELD, OPEN, SLIPPING, STUCK
 from .propagation_mechanism import fill_mechanism, new_mechanism, turn_together
-from .propagation_state import (
-    LATE,
-    NOT_SHARED,
-    RESUMED,
-    TIED,
-    State,
-    System,
-    begins,
-    friction_share,
-    loads,
-    rate,
-)
+from .propagation_state import TIED, State, System, friction_share, loads, rate
 from .tolerances import NEGLIGIBLE
 
 ORDER, SHORT = np.int64(24), np.int64(2)
@@ -169,34 +157,28 @@ def expand(system, state, unknown, inverse, order, pace, series):
         if hertz and loads(state.normal[j]) and state.indentation[j] <= 0.0:
             root = True
     fixed, rates = np.empty(len(unknown)), np.empty(n)
-    closed, ties, together, first = what_changes(system, state, rates)
-    count, together = len(ties), together and order > 0
-    answers = np.zeros((count, 3 * n))
-    mechanism = new_mechanism(count if together else 0)
+    closed, ties = what_changes(system, state, rates)
+    count = len(ties) if order > 0 else 0
+    answers, mechanism = np.zeros((count, 3 * n)), new_mechanism(count)
     for k in range(order + 1):
-        forces_of_order(system, state, series, k, first, root, closed)
+        forces_of_order(system, state, series, k, root, closed)
         hold(system, state, unit[0], unknown, inverse, fixed, force[k])
-        if count > 0 and k == first:
+        if count > 0 and k == 0:
             for c in range(count):
                 answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[k], answers[c])
-                series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[k]) / (k + 1.0)
-            if together:
-                find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
-        elif together:
+            find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
+        elif count > 0:
             turn_together(system, state, series, k, pace, ties, answers, mechanism)
-        elif count > 0 and k > first:
-            _turn(system, state, series, k, pace, ties, answers)
         integrate(system, rates, series, k, pace, root)
     return root
 
 
 @inlined
-def forces_of_order(system, state, series, k, first, root, closed):
+def forces_of_order(system, state, series, k, root, closed):
     """Fill the coefficients k of directions of slip and of forces but for those of what holds.
 
     Args:
         k: The order; velocities and indentations are known up to it.
-        first: The order at which forces begin.
         root: Whether series are in τ.
         closed: The contacts that have forces.
     """
@@ -214,10 +196,8 @@ def forces_of_order(system, state, series, k, first, root, closed):
             else:
                 normal = system.stiffness[j] * series.indentation[k, j]
         force[k, p + 2] = normal
-        if tangent == SLIPPING and begins(state.fresh[j]):
-            _known_direction(state, series, max(k - first, 0), j)
-            if first > 0 < k:  # F begins at zero, so that it does not matter yet
-                unit[k, 2 * j] = unit[k, 2 * j + 1] = 0.0
+        if tangent == SLIPPING and state.fresh[j] == TIED:
+            _known_direction(state, series, k, j)
         elif tangent == SLIPPING:
             _direction(series, k, j)
         elif tangent == BOUND:
@@ -234,25 +214,19 @@ def forces_of_order(system, state, series, k, first, root, closed):
 
 @inlined
 def what_changes(system, state, rates):
-    """Fill the rates (n,) of indentations; return which contacts have forces, and how slips begin.
-
-    These are the contacts where they do, whether as one mechanism, and the order at which their forces begin.
-    """
+    """Fill the rates (n,) of indentations; return which contacts have forces, and where slip begins."""
     n = len(rates)
-    ties, closed = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    count = pressed = first = 0
-    together = True
+    closed, ties = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    pressed = count = 0
     for j in range(n):
         rates[j] = 0.0 if state.normal[j] == HELD else rate(system, state.normal[j], j)
         if state.normal[j] != OPEN or state.tangent[j] != FREE:
             closed[pressed] = j
             pressed += 1
-        if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
+        if state.tangent[j] == SLIPPING and state.fresh[j] == TIED:
             ties[count] = j
             count += 1
-            together = together and state.shared[j] != NOT_SHARED and state.fresh[j] == TIED
-            first = 1 if state.fresh[j] == LATE else first
-    return closed[:pressed].copy(), ties[:count].copy(), together and count > 0, first
+    return closed[:pressed].copy(), ties[:count].copy()
 
 
 @inlined
@@ -309,20 +283,8 @@ def find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, me
 
 
 @inlined
-def _start(system, state, j, force):
-    """Return the acceleration with which a slip begins along its direction."""
-    total = 0.0
-    for i in range(len(force)):
-        row = (
-            system.w[3 * j, i] * state.direction[2 * j] + system.w[3 * j + 1, i] * state.direction[2 * j + 1]
-        )
-        total += row * force[i]
-    return total
-
-
-@inlined
 def _known_direction(state, series, k, j):
-    """Fill the part of coefficient k of a direction that lower ones give; v_t = s ρ u or s² ρ u, u(0) = d."""
+    """Fill the part of coefficient k of a direction that lower ones give; v_t = s² ρ u, u(0) = d."""
     unit = series.unit
     if k == 0:
         unit[0, 2 * j], unit[0, 2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
@@ -335,58 +297,6 @@ def _known_direction(state, series, k, j):
 
 
 @inlined
-def _turn(system, state, series, k, pace, ties, answers):
-    """Find coefficients k of directions of slips that begin, and those of ρ that go with them. (14.5)"""
-    w, force, unit, speed = system.w, series.force, series.unit, series.speed
-    count, m = len(ties), len(state.v)
-    matrix, right, x = np.zeros((2 * count, 2 * count)), np.zeros(2 * count), np.zeros(2 * count)
-    factor = (k + 1.0) / pace
-    sizes = np.empty(count)  # of what a turn does, so that equations of weak contacts count as well
-    for c in range(count):
-        sizes[c] = 0.0
-        for i in range(m):
-            sizes[c] = max(sizes[c], w[i, i] * abs(answers[c, i]))
-        if state.fresh[ties[c]] != TIED:
-            sizes[c] = max(sizes[c], factor * abs(speed[0, ties[c]]))
-        sizes[c] = sizes[c] / factor if sizes[c] > 0.0 else 1.0
-    for c in range(count):
-        j = ties[c]
-        dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
-        last = k if state.fresh[j] == RESUMED else k - 1
-        along = across = 0.0  # of coefficient `last` of v_t/s² or v_t/s, without that of ρ
-        for i in range(last):
-            ux, uy = unit[last - i, 2 * j], unit[last - i, 2 * j + 1]
-            along += speed[i, j] * (ux * dx + uy * dy)
-            across += speed[i, j] * (uy * dx - ux * dy)
-        for part in range(2):
-            row = 3 * j + part
-            total = 0.0
-            for i in range(m):
-                total += w[row, i] * force[k, i]
-            d, across_d = (dx, -dy) if part == 0 else (dy, dx)
-            right[2 * c + part] = total - factor * (along * d + across * across_d)
-            matrix[2 * c + part, 2 * c] = factor * d
-            for other in range(count):
-                total = 0.0
-                for i in range(m):
-                    total += w[row, i] * answers[other, i]
-                matrix[2 * c + part, 2 * other + 1] = -total / sizes[other]
-            if state.fresh[j] != TIED:
-                matrix[2 * c + part, 2 * c + 1] += factor * speed[0, j] * across_d / sizes[c]
-    if solve(matrix, right, x, NEGLIGIBLE) == 0:  # as where nothing can move across, or forces are not unique
-        least_norm(matrix, right, NEGLIGIBLE, x, np.empty((0, 2 * count)))
-    for c in range(count):
-        j = ties[c]
-        x[2 * c + 1] /= sizes[c]
-        speed[k if state.fresh[j] == RESUMED else k - 1, j] = x[2 * c]
-        turned = k - 1 if state.fresh[j] == LATE else k
-        unit[turned, 2 * j] -= x[2 * c + 1] * state.direction[2 * j + 1]
-        unit[turned, 2 * j + 1] += x[2 * c + 1] * state.direction[2 * j]
-        for i in range(m):
-            force[k, i] += x[2 * c + 1] * answers[c, i]
-
-
-@inlined
 def natural_pace(state, series):
     """Return a unit of the clock in which slow slip turns slowly, so that no coefficient overflows.
 
@@ -396,7 +306,7 @@ def natural_pace(state, series):
     """
     pace = 1.0
     for j in range(len(state.tangent)):
-        if state.tangent[j] == SLIPPING and not begins(state.fresh[j]):
+        if state.tangent[j] == SLIPPING and state.fresh[j] != TIED:
             speed = math.hypot(state.v[3 * j], state.v[3 * j + 1])
             change = math.hypot(series.v[1, 3 * j], series.v[1, 3 * j + 1])
             if change > 10.0 * speed:

@@ -19,19 +19,20 @@ from ..._numeric.least_norm import least_norm
 from ..._numeric.products import dot
 from ..._numeric.semidefinite import forward
 from ..._numeric.tolerances import ROUNDOFF
-from .codes import HELD, SLIPPING
+from .codes import SLIPPING
 from .propagation_mechanism import new_mechanism
 from .propagation_series import (
     ORDER,
     Series,
     answer_of_turn,
     find_mechanism,
+    force_inverse,
     forces_of_order,
     hold,
     integrate,
     what_changes,
 )
-from .propagation_state import State, System, begins, loads
+from .propagation_state import State, System, loads
 
 STIFF = 100.0
 """How often slip would turn, at least, while the slow motion changes by as much as it is."""
@@ -52,13 +53,16 @@ class Stiff(NamedTuple):
     Attributes:
         ties: (m,) the contacts.
         answers: (m, 3n) what a turn of each changes of the forces.
-        matrix: (r, r) Σ μF/|v_t| l lᵀ: by how much friction slows down a change of velocities.
+        matrix: (r, r) S: by how much friction slows down a change of velocities; Σ μF/|v_t| l lᵀ where no
+            contact is held and slips.
+        turned: (r, r) S without what it makes of slow velocities.
         right, turn: (2m,) and (r,) scratch.
     """
 
     ties: Integers
     answers: FloatRows
     matrix: FloatRows
+    turned: FloatRows
     right: Floats
     turn: Floats
 
@@ -66,7 +70,7 @@ class Stiff(NamedTuple):
 @declared(System, State, INTEGERS, FLOAT_ROWS, Series, float, FLOAT_ROWS, FLOAT_ROWS, result=float)
 @external
 def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
-    """Fill the series of the slow motion next to a state, where slip turns fast. (14.15)
+    """Fill the series of the slow motion next to a state, where slip turns fast. (14.5)
 
     Args:
         part: Of the fastest turn, below which velocities are integrated, as elsewhere.
@@ -109,13 +113,14 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
         if not least < 1.0:
             return 0.0
         free = len(null) - least_norm(stiff.matrix, np.zeros(len(null)), least, stiff.turn, null)
+        _project(stiff, null, free)
         for k in range(ORDER + 1 if turn > 0 else 2):
             if k > 0:
                 _take_slow(stiff, mechanism, null[:free], slow[k], series.v[k], missed[k])
             else:
                 for i in range(n):
                     series.v[0, i], missed[0, i] = slow[0, i], slow[0, i] - state.v[i]
-            forces_of_order(system, state, series, k, 0, False, closed)
+            forces_of_order(system, state, series, k, False, closed)
             hold(system, state, series.unit[0], unknown, inverse, fixed, series.force[k])
             for _ in range(REFINED):
                 _balance(system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1], missed[k])
@@ -136,7 +141,7 @@ def _slipping(system, state):
         slips = state.tangent[j] == SLIPPING
         rests = state.v[3 * j] == 0.0 and state.v[3 * j + 1] == 0.0
         closes = system.exponent != 1.0 and loads(state.normal[j]) and state.indentation[j] <= 0.0
-        if (slips and (rests or begins(state.fresh[j]))) or closes or state.normal[j] == HELD:
+        if (slips and rests) or closes:
             return ties[:0].copy()
         if slips:
             ties[count] = j
@@ -148,22 +153,42 @@ def _slipping(system, state):
 def _set_up(system, state, series, unknown, inverse, ties, closed):
     """Return the `Stiff` of slips, their mechanism, and scratch for `hold`; coefficients 0 are filled."""
     m, fixed, unit, force = len(ties), np.empty(len(unknown)), series.unit, series.force
-    forces_of_order(system, state, series, 0, 0, False, closed)
+    forces_of_order(system, state, series, 0, False, closed)
     hold(system, state, unit[0], unknown, inverse, fixed, force[0])
     for j in ties:
         state.direction[2 * j], state.direction[2 * j + 1] = unit[0, 2 * j], unit[0, 2 * j + 1]
     answers, mechanism = np.empty((m, len(state.v))), new_mechanism(m)
     for c in range(m):
         answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[0], answers[c])
-    find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
-    r, across = mechanism.rank[0], mechanism.across
-    matrix = np.zeros((r, r))
+    # what forces reach is what they do without friction of what is held, which is symmetric
+    none, even = np.zeros(unit.shape[1]), np.empty((len(unknown), len(unknown)))
+    force_inverse(system, state, none, unknown, np.ones(len(system.friction)), even)
+    find_mechanism(system, state, none, unknown, even, fixed, ties, force[0], mechanism)
+    r = mechanism.rank[0]
+    matrix, right, turn = np.zeros((r, r)), np.empty(2 * m), np.empty(r)
     for c in range(m):
-        push = system.friction[ties[c]] * force[0, 3 * ties[c] + 2] / series.speed[0, ties[c]]
+        for a in range(2 * m):
+            right[a] = dot(system.w[3 * ties[a // 2] + a % 2], answers[c])
+        forward(mechanism.lower, mechanism.order, r, right, turn)
         for a in range(r):
             for b in range(r):
-                matrix[a, b] += push * across[c, a] * across[c, b]
-    return Stiff(ties, answers, matrix, np.empty(2 * m), np.empty(r)), mechanism, fixed
+                matrix[a, b] -= turn[a] * mechanism.across[c, b] / series.speed[0, ties[c]]
+    return Stiff(ties, answers, matrix, np.empty((r, r)), right, turn), mechanism, fixed
+
+
+@inlined
+def _project(stiff, null, free):
+    """Fill `turned`: S without its part along the first rows of null, whose velocities are integrated."""
+    r = len(null)
+    for b in range(r):
+        for a in range(r):
+            stiff.turned[a, b] = stiff.matrix[a, b]
+        for k in range(free):
+            along = 0.0
+            for a in range(r):
+                along += null[k, a] * stiff.matrix[a, b]
+            for a in range(r):
+                stiff.turned[a, b] -= along * null[k, a]
 
 
 @inlined
@@ -238,7 +263,7 @@ def _balance(system, series, k, stiff, mechanism, least, factor, slow, missed):
         right[a] = dot(system.w[i], force[k]) - factor * slow[i]
     left = np.empty(r)
     forward(mechanism.lower, mechanism.order, r, right, left)
-    least_norm(stiff.matrix, left, least, turn, np.empty((0, r)))
+    least_norm(stiff.turned, left, least, turn, np.empty((0, r)))
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
         change = dot(mechanism.lower[a, :r], turn)

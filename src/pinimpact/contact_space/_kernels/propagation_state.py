@@ -10,15 +10,15 @@ import numpy as np
 from ..._compile.declared import FloatRows, Floats, IntegerRows, Integers
 from ..._compile.jit import inlined
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
-from .tolerances import NEGLIGIBLE
+from .tolerances import NEGLIGIBLE, SLIP_SPEED
 
 NOT_SHARED, SHARED, UNEVEN = 0, 1, 2
 """`State.shared`: whether others can bear what friction at a contact does; and whether in the step to come
 that of the series, (14.4), leaves its bounds, so that they do."""
 
-TIED, RESUMED, LATE, AT_BOUND = 2, 4, 5, 3
-"""`State.fresh` of a slip that begins as friction comes to its bound, of one that does beyond it, of one that
-does so where all forces begin at zero, and where friction has come to its bound."""
+BEGUN, TIED, AT_BOUND = 1, 2, 3
+"""`State.fresh` of a slip that has just begun, of one that does as friction that is shared comes to all its
+bounds, and where friction has come to its bound."""
 
 
 class System(NamedTuple):
@@ -54,9 +54,7 @@ class State(NamedTuple):
         normal: (n,) modes OPEN, LOADING, RISING, SINKING, HELD.
         tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
         direction: (2n,) of the slip that a contact at the bound of its friction would take.
-        fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
-            3 where friction has come there, 4 for a slip that begins with an acceleration, 5 for one that
-            begins as all forces do.
+        fresh: (n,) `BEGUN`, `TIED`, `AT_BOUND`, or 0.
         shared: (n,) whether others can bear what friction at a contact does, see `propagation_sharing`.
         share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
         pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
@@ -97,12 +95,6 @@ def loads(mode):
 
 
 @inlined
-def begins(fresh):
-    """Return whether a slip begins now, so that its direction is known before its velocity is."""
-    return fresh in (TIED, RESUMED, LATE)
-
-
-@inlined
 def rate(system, mode, j):
     """Return ρ: how fast the indentation follows the velocity."""
     return 1.0 if mode in (OPEN, LOADING) or system.unloading[j] == 0.0 else system.unloading[j]
@@ -137,6 +129,15 @@ def close(system, state, j):
         state.tangent[j] = SLIPPING
         if math.hypot(state.v[3 * j], state.v[3 * j + 1]) <= NEGLIGIBLE:
             stick(state, j)
+
+
+@inlined
+def begin_to_slip(state, j):
+    """Let a contact slip along its direction, at a speed that does not matter."""
+    state.tangent[j] = SLIPPING
+    state.fresh[j] = BEGUN
+    state.v[3 * j] = SLIP_SPEED * state.direction[2 * j]
+    state.v[3 * j + 1] = SLIP_SPEED * state.direction[2 * j + 1]
 
 
 @inlined

@@ -70,11 +70,7 @@ UNTURNED = LITTLE
 
 SAME = AHEAD
 """Part of the largest force by which forces that hold the same differ; and of a bound within which friction
-is at it: what `AHEAD` lets forces change. And part of the speed at which slips begin that the series of one
-that begins has to reach: its accelerations are off by as much."""
-
-BEGINS = 1e-4
-"""Part of what its terms come to below which an acceleration or a force is only growing from zero."""
+is at it: what `AHEAD` lets forces change."""
 
 OPTIMAL = COMPUTED**2
 """Gap of the convex programs of friction, of order one, whose solution is then right to its root: they go on
