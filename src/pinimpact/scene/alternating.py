@@ -103,6 +103,9 @@ class Alternating(TimeStepping):
         self.record.cut(mark)
         self.state.become(state)
 
+    def _report_beyond(self, text: str) -> None:
+        raise IrregularMotionError(f"scene: {text[0].lower() + text[1:]}")
+
     # ---- crossing
 
     def _step(self, h: float, stop: float, scale: float) -> float:
@@ -157,8 +160,8 @@ class Alternating(TimeStepping):
         if not self.record.stepping_warned:
             self.record.stepping_warned = True
             warnings.warn(
-                f"t = {state.t:.6g} s: events cannot be located here, and time steps are taken: "
-                f"{refusal} trajectory.stepped lists all such intervals.",
+                f"t = {state.t:.6g} s: time steps are taken, since events cannot be located here: "
+                f"{refusal}. `trajectory.stepped` lists all such intervals.",
                 SteppedWarning,
                 stacklevel=2,
             )

@@ -355,10 +355,11 @@ class Integrator:
             beyond = f"Contact forces exceed the bounds of the contact modes by {excess:.3g} N or N m"
             if math.isinf(excess):
                 beyond = "Slip in these contact modes has a negative normal acceleration"
-            self.instant.note(
-                f"{beyond}, and no other modes were found: the motion may be wrong here; near Painlevé's "
-                "paradox there may be none."
-            )
+            self._report_beyond(f"{beyond}, and no other modes were found")
+
+    def _report_beyond(self, text: str) -> None:
+        """Note that forces are not those of Coulomb's law."""
+        self.instant.note(f"{text}: the motion may be wrong here; near Painlevé's paradox there may be none.")
 
     def _arriving(self) -> int | None:
         """Return the contact or, past those, the limit that arrives at the event last found, or None."""
