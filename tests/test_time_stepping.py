@@ -516,7 +516,7 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None):
     problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, mu, none, none, compliance)
     return step_impulses(
         *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11),
-        *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),
+        *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse, np.empty((2, 0, n))),
     )
 
 

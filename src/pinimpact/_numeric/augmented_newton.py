@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
+from .._compile.declared import FLOAT_STACK, FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign
@@ -334,16 +334,17 @@ def residual_of(problem, diagonal, x, now):
     return missed if math.isfinite(total) else math.inf
 
 
-@declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, result=float)
+@declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK, result=float)
 @external
-def solve_velocities(problem, part, accuracy, begin, w, x):
+def solve_velocities(problem, part, accuracy, begin, w, x, course):
     """Fill x (n,) with impulses that satisfy the law, and w (m,) with the change of velocities by them.
 
     Of several solutions that satisfy it nearly it is the limit of small compliances. `part` is the largest r,
     relative to the largest of W (`tolerances.SOFTEST`), `accuracy` the part of u_free by which f⁺ − f may
     change velocities at the end (`tolerances.SETTLED`). begin (m,) is an initial change of the velocities,
-    and takes that of the first iteration, the best start for a nearly equal problem. Returns the residual of
-    the law, relative to u_free; infinite if the iteration has diverged.
+    and takes that of the first iteration, the best start for a nearly equal problem. Course (2, …, n) takes
+    r and f⁺ of each iteration, as far as it has room. Returns the residual of the law, relative to u_free;
+    infinite if the iteration has diverged.
     """
     free = problem.free
     n, m, size = len(free), len(w), 0.0
@@ -374,6 +375,9 @@ def solve_velocities(problem, part, accuracy, begin, w, x):
         for a in range(n):
             reached = max(reached, r[a] * abs(f[a] - x[a]) / size)
         assign(x, f)
+        if iteration < course.shape[1]:
+            assign(course[0, iteration], r)
+            assign(course[1, iteration], f)
         slow = slow + 1 if reached > 0.5 * lowest else 0
         if reached <= accuracy or (slow >= PATIENCE and reached <= STALLED):
             break

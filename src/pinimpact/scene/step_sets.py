@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
-from .._numeric.tolerances import RANK, ROUNDING, SETTLED, SOFTEST, TINY
+from .._numeric.tolerances import LITTLE, RANK, ROUNDING, SETTLED, SOFTEST, TINY
 from ..arrays import Array, Integers
+from ._kernels.step_rows import StepRows
 from .step_taken import StepTaken
 
 TIED = 1e3 * SETTLED
@@ -16,216 +17,191 @@ TIED = 1e3 * SETTLED
 thousand times what the contact problem leaves."""
 
 
-OPEN, CLOSES, PINNED = range(3)
-"""Whether the gap at the midpoint matters to a row: not; it is closed; it is, and already touches."""
+SETTLING = 3
+"""Iterations with a thousandth of r that stand for impulses found without any: changes are off by 3·10⁻⁶ of
+W over what they move after the first, and by the third power of it after three."""
 
 
-class Slide(NamedTuple):
-    """A contact that slips at the end of a step.
-
-    Attributes:
-        contact: Its place among the near contacts.
-        friction: μ.
-        direction: (2,) σ.
-        turns: (2, 2) how the tangential impulse follows the velocity: μ λ₃ (1 − σσᵀ)/|v_t|.
-    """
-
-    contact: int
-    friction: float
-    direction: Array
-    turns: Array
-
-
-class ActiveSets(NamedTuple):
-    """What holds in a step.
+class Iteration(NamedTuple):
+    """How an iteration of (16.3) changes impulses f: δf⁺ = `kept` δf − `stiff` δu + `bent` δr/r + …. (D40)
 
     Attributes:
-        rows: (m,) rows whose velocities vanish, but for what gaps leave.
-        gaps: (m,) gaps at the midpoint that a row closes [m], zero where it closes none.
-        closing: (m,) of these gaps, see `PINNED`.
-        compliances: (m,).
-        slides: The contacts that slip.
-        bounds: (rows,) rates of impulses that are at bounds by the length of the step, of dry friction.
-        tied: Whether something is at a tie, and has been decided one way.
+        impulse: (rows,) f⁺.
+        shift: (nv,) what velocities are off those at the end of the step.
+        kept, stiff: (rows, rows) ∂P, or 1 for what an island with fewer iterations has found, and ∂P/r.
+        bent: (rows,) ∂P u/r.
+        by_friction: (rows,) ∂P/∂μ, each of its own contact.
+        by_length: (rows,) rates of what is at the bound of dry friction [N or N m].
     """
 
-    rows: Integers
-    gaps: Array
-    closing: Integers
-    compliances: Array
-    slides: tuple[Slide, ...]
-    bounds: Array
-    tied: bool
-
-    def directions(self, jacobian: Array) -> Array:
-        """Return the generalized forces (nv, m) by which impulses act on the rows."""
-        out, slides = jacobian[self.rows].T.copy(), {3 * one.contact + 2: one for one in self.slides}
-        for column, row in enumerate(self.rows.tolist()):
-            if row in slides:
-                one = slides[row]
-                out[:, column] -= one.friction * one.direction @ jacobian[row - 2 : row]
-        return out
+    impulse: Array
+    shift: Array
+    kept: Array
+    stiff: Array
+    bent: Array
+    by_friction: Array
+    by_length: Array
 
 
-class _Sets:
-    """Collects what holds in a step; a tie is decided one way or the other."""
-
-    def __init__(self, taken: StepTaken, otherwise: bool) -> None:
-        self.taken, self.otherwise, self.tied = taken, otherwise, False
-        self.kept: list[tuple[int, float, int, float]] = []
-        self.slides: list[Slide] = []
-        self.bounds = np.zeros(len(taken.found.impulse))
-        found = taken.found
-        self.rounding = ROUNDING * np.abs(found.impulse).max(initial=0.0)
-        self.still = TIED * max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end))
-        self.still = max(self.still, self._missed())
-
-    def _missed(self) -> float:
-        """Return the sum of what velocities of contacts and limits with impulses are off [m/s].
-
-        Velocities of others follow from these, and are known no better.
-        """
-        taken, rows = self.taken, self.taken.rows.normals
-        every = len(taken.rows.surface)
-        gap = np.concatenate([taken.rows.gap[: len(taken.rows.contacts)], taken.rows.gap[every:]])
-        off = taken.found.u_end[rows] + np.where(gap > -taken.overlap, gap / taken.h, 0.0)
-        return float(np.abs(off[taken.found.impulse[rows] > self.rounding]).sum())
-
-    def tie(self) -> bool:
-        """Decide a tie."""
-        self.tied = True
-        return self.otherwise
-
-    def closed(self, row: int, gap: float) -> tuple[float, int] | None:
-        """Return the gap that a row along a normal closes, and how it matters; None if it is open."""
-        found, h = self.taken.found, self.taken.h
-        if found.impulse[row] <= self.rounding:
-            apart = found.u_end[row] + (gap / h if gap > -self.taken.overlap else 0.0) > self.still
-            return None if apart or not self.tie() else (0.0, OPEN)
-        if gap <= -self.taken.overlap:
-            return 0.0, OPEN
-        return gap, PINNED if gap <= self.taken.touching else CLOSES
-
-    def add_contact(self, k: int, gap: float, friction: float, compliance: float) -> None:
-        """Add a contact by its place among the near ones."""
-        impulse, u, row = self.taken.found.impulse, self.taken.found.u_end, 3 * k + 2
-        closes = self.closed(row, gap)
-        if closes is None:
-            return
-        speed, pushed = float(np.hypot(*u[row - 2 : row])), float(np.hypot(*impulse[row - 2 : row]))
-        slips = friction == 0.0 or pushed >= (1.0 - TIED) * friction * impulse[row]
-        if slips and friction > 0.0 and speed <= self.still:
-            slips = self.tie()
-            speed, direction = 0.0, -impulse[row - 2 : row] / (pushed or 1.0)
-        elif slips and friction > 0.0:
-            direction = u[row - 2 : row] / speed
-        if slips:
-            turns = np.zeros((2, 2))
-            if friction == 0.0:
-                direction = np.zeros(2)
-            elif speed > 0.0:
-                turns = friction * impulse[row] / speed * (np.eye(2) - np.outer(direction, direction))
-            self.slides.append(Slide(k, friction, direction, turns))
-        else:
-            self.kept += [(row - 2, 0.0, OPEN, compliance), (row - 1, 0.0, OPEN, compliance)]
-        self.kept.append((row, *closes, compliance))
-
-    def add_dry(self, row: int, bound: float) -> None:
-        """Add a joint with dry friction, whose impulse has a bound."""
-        impulse, speed = self.taken.found.impulse[row], abs(self.taken.found.u_end[row])
-        sticks = abs(impulse) < (1.0 - TIED) * bound
-        if not sticks and speed <= self.still:
-            sticks = self.tie()
-        if sticks:
-            self.kept.append((row, 0.0, OPEN, 1.0))
-        else:
-            self.bounds[row] = impulse / self.taken.h
-
-
-def active_sets(
-    taken: StepTaken, friction: Array, dry_friction: Array, compliances: Array, otherwise: bool
-) -> ActiveSets:
-    """Return what holds in a step, with ties decided one way, or otherwise.
+class StepLaw:
+    """The law of the contacts, limits and dry joints of a step, as its iterations solve it.
 
     Friction and compliances (n,) are those of all contacts, dry friction (nv,) that of all joints.
-    """
-    rows, sets = taken.rows, _Sets(taken, otherwise)
-    nc, nh, nl = len(rows.contacts), len(rows.held), len(rows.limits)
-    for k, i in enumerate(rows.contacts.tolist()):
-        if not taken.found.arrives[k]:
-            sets.add_contact(k, float(rows.gap[k]), float(friction[i]), float(compliances[i]))
-    for k in range(nc, nc + nh):
-        sets.kept += [(3 * k, 0.0, OPEN, 1.0), (3 * k + 1, 0.0, OPEN, 1.0)]
-        sets.kept.append((3 * k + 2, float(rows.gap[k]), CLOSES, 1.0))
-    first = 3 * (nc + nh)
-    for k in range(nl):
-        closes = None if taken.found.arrives[nc + k] else sets.closed(first + k, float(rows.gap[nc + nh + k]))
-        if closes is not None:
-            sets.kept.append((first + k, *closes, 1.0))
-    for row, joint in enumerate(rows.dry.tolist(), first + nl):
-        sets.add_dry(row, taken.h * float(dry_friction[joint]) / float(rows.values[row, 0]))
-    numbers, gaps, closing, soft = zip(*sets.kept, strict=True) if sets.kept else ((), (), (), ())
-    places, kinds = np.array(numbers, dtype=np.int64), np.array(closing, dtype=np.int64)
-    ends, softness = np.array(gaps, dtype=float), np.array(soft, dtype=float)
-    return ActiveSets(places, ends, kinds, softness, tuple(sets.slides), sets.bounds, sets.tied)
-
-
-class Shares(NamedTuple):
-    """How redundant rows share their impulses: ℓᵀ (C λ + κ w) = 0, of velocities w that they miss. (D40)
 
     Attributes:
-        rates: (m,) κ of the island of each row; zero where it is not known.
-        least: (m,) where it is not known, that of one iteration.
-        missed: (m,) κ w.
-        largest: (m,) the row of the step with the largest entry on the diagonal of W in that island.
+        jacobian: (rows, nv).
+        closes: (rows,) whether rows along normals close the gap at the midpoint.
+        targets: (rows,) the speeds at which they do [m/s].
+        pinned: (m,) rows of those that press and touch there already.
+        tied: (rows,) where something is at a tie: normals that do not press, the first rows of contacts whose
+            friction is at its bound without slip, dry friction likewise.
+        sticks, slips: (nc,) contacts that press.
+        limits: (nl,) limits that do.
     """
 
-    rates: Array
-    least: Array
-    missed: Array
-    largest: Integers
+    def __init__(self, taken: StepTaken, friction: Array, dry_friction: Array, compliances: Array) -> None:
+        found, rows = taken.found, taken.rows
+        nc, every, n = len(rows.contacts), len(rows.surface), len(rows.counts)
+        self._taken, self.jacobian = taken, dense(rows, len(found.v_end))
+        self._friction, self._compliances = friction[rows.contacts], compliances[rows.contacts]
+        self._first = 3 * every + len(rows.limits)
+        self._bounds = taken.h * dry_friction[rows.dry] / rows.values[self._first :, 0]
+        gaps, normals = np.zeros(n), np.concatenate([3 * np.arange(every) + 2, rows.normals[nc:]])
+        gaps[normals] = rows.gap
+        self.closes, held = np.zeros(n, dtype=bool), np.arange(nc, every)
+        self.closes[normals] = rows.gap > -taken.overlap
+        self.closes[3 * held + 2] = True
+        self.targets = np.where(self.closes, gaps / taken.h, 0.0)
+        impulse = found.impulse
+        self._rounding = rounding = ROUNDING * np.abs(impulse).max(initial=0.0)
+        still = TIED * max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end))
+        presses = impulse > rounding
+        touches = presses & self.closes & (gaps <= taken.touching)
+        self.pinned = rows.normals[touches[rows.normals]]
+        self.tied = np.zeros(n, dtype=bool)
+        free = rows.normals[~found.arrives & ~presses[rows.normals]]
+        self.tied[free] = (found.u_end + self.targets)[free] <= still
+        pushed, speed = (np.hypot(*one[: 3 * nc].reshape(-1, 3).T[:2]) for one in (impulse, found.u_end))
+        closed, radius = presses[2 : 3 * nc : 3], self._friction * impulse[2 : 3 * nc : 3]
+        bound = closed & (pushed >= (1.0 - TIED) * radius)
+        self.tied[: 3 * nc : 3] = bound & (radius > 0.0) & (speed <= still)
+        self.slips = bound & ~self.tied[: 3 * nc : 3]
+        self.sticks = closed & ~self.slips
+        self.limits = presses[3 * every : self._first]
+        at_bound = np.abs(impulse[self._first :]) >= (1.0 - TIED) * self._bounds
+        self.tied[self._first :] = at_bound & (np.abs(found.u_end[self._first :]) <= still)
+
+    def pushes(self) -> Array:
+        """Return the generalized forces (m, nv) of impulses along the pinned rows, with their friction."""
+        out, impulse = self.jacobian[self.pinned].copy(), self._taken.found.impulse
+        for one, row in zip(out, self.pinned.tolist(), strict=True):
+            if row < 3 * len(self.slips) and self.slips[row // 3]:
+                one += impulse[row - 2 : row] / impulse[row] @ self.jacobian[row - 2 : row]
+        return out
+
+    def softness(self) -> Array:
+        """Return the compliances (m,) of the pinned rows."""
+        every = np.append(self._compliances, 1.0)
+        return np.asarray(every[np.minimum(self.pinned // 3, len(every) - 1)])
+
+    def largest(self, response: Array) -> Integers:
+        """Return the contact row with the largest entry on the diagonal of W in each row's island, (rows,).
+
+        The response (nv, rows) is M⁻¹Jᵀ.
+        """
+        found, contacts = self._taken.found, 3 * len(self._friction)
+        delassus, acts = self.jacobian @ response, np.ones(len(self.jacobian), dtype=bool)
+        acts[self._taken.rows.normals] = ~found.arrives
+        acts[:contacts] = np.repeat(acts[2:contacts:3], 3)
+        linked = (delassus != 0.0) & np.outer(acts, acts)
+        island, lower = np.full(len(acts), -1), np.arange(len(acts))
+        while (lower != island).any():
+            island = lower
+            lower = np.minimum(island, np.where(linked, island, len(acts)).min(axis=1, initial=len(acts)))
+        largest = np.arange(len(island))
+        for number in np.unique(island[:contacts]):
+            of = np.flatnonzero(island[:contacts] == number)
+            largest[island == number] = of[delassus.diagonal()[of].argmax()]
+        return largest
+
+    def _course(self, response: Array, largest: Integers) -> tuple[Array, Array, Array]:
+        """Return r and the impulses before and after each iteration, (…, rows).
+
+        Impulses that were found otherwise are those of small compliances, at which iterations stay.
+        """
+        found, contacts = self._taken.found, 3 * len(self._friction)
+        (given, after), none = found.course, ~found.course[0].any(axis=0)
+        before = np.vstack([np.zeros((1, len(none))), after])
+        if none.any():
+            soft = LITTLE * SOFTEST * np.einsum("an,na->a", self.jacobian, response)[largest]
+            soft[:contacts] *= np.repeat(self._compliances, 3)
+            soft /= self._compliances.max(initial=0.0) or 1.0
+            impulse = np.where(none & (np.abs(found.impulse) > self._rounding), found.impulse, 0.0)
+            given = np.vstack([given, *[np.where(none, soft, 0.0)] * SETTLING])
+            after = np.vstack([after, *[impulse] * SETTLING])
+            before = np.vstack([before[:-1], *[impulse] * SETTLING])
+        return given, before[: len(given)], after
+
+    def iterations(self, response: Array, largest: Integers, otherwise: bool) -> Iterator[Iteration]:
+        """Yield the iterations, with ties decided one way, or otherwise; see `largest`."""
+        found, now = self._taken.found, np.zeros(len(self.jacobian))
+        dry = np.arange(len(now)) >= self._first
+        for r, before, after in zip(*self._course(response, largest), strict=True):
+            runs = r > 0.0
+            now = np.where(runs, after, now)
+            shift = response @ (now - found.impulse)
+            u = found.u_end + self.targets + self.jacobian @ shift
+            rate = np.divide(1.0, r, out=np.zeros_like(r), where=runs)
+            slopes, by_friction = self._slopes(before - u * rate, now, otherwise)
+            kept, stiff = np.where(runs[:, None], slopes, np.eye(len(now))), slopes * rate
+            bound = dry & runs & (slopes.diagonal() == 0.0)
+            by_length = np.where(bound, now / self._taken.h, 0.0)
+            yield Iteration(now, shift, kept, stiff, stiff @ u, np.where(runs, by_friction, 0.0), by_length)
+
+    def _slopes(self, z: Array, impulse: Array, otherwise: bool) -> tuple[Array, Array]:
+        """Return ∂P (rows, rows) at z where P is `impulse`, and its derivative (rows,) by friction. (16.4)"""
+        nc, tied = len(self._friction), self.tied & otherwise
+        out, by_friction = np.zeros((len(z), len(z))), np.zeros(len(z))
+        for k, mu in enumerate(self._friction.tolist()):
+            t, n = slice(3 * k, 3 * k + 2), 3 * k + 2
+            if not (impulse[n] > 0.0 or tied[n]):
+                continue
+            out[n, n] = 1.0
+            size, pushed = np.hypot(*z[t]), np.hypot(*impulse[t])
+            if tied[3 * k] or (pushed < (1.0 - ROUNDING) * mu * impulse[n]):
+                out[t, t] = np.eye(2)
+                continue
+            along = z[t] / max(size, TINY)
+            out[t, t] = pushed / max(size, pushed, TINY) * (np.eye(2) - np.outer(along, along))
+            out[t, n], by_friction[t] = mu * along, impulse[n] * along
+        scalar, limits = np.arange(3 * nc, len(z)), slice(3 * len(self._taken.rows.surface), self._first)
+        acts = np.ones(len(z), dtype=bool)  # what is held
+        acts[limits] = (impulse > 0.0)[limits] | tied[limits]
+        acts[self._first :] = np.abs(impulse[self._first :]) < (1.0 - ROUNDING) * self._bounds
+        acts[self._first :] |= tied[self._first :]
+        out[scalar, scalar] = acts[scalar]
+        return out, by_friction
 
 
-def shares_of(taken: StepTaken, sets: ActiveSets, compliances: Array, delassus: Array, null: Array) -> Shares:
-    """Return how the active rows share their impulses in a step.
-
-    Compliances (nc,) are those of the near contacts, W (rows, rows) is that of all rows of the step, and null
-    (m, …) has the ℓ of the active ones.
-    """
-    found, contacts = taken.found, 3 * len(compliances)
-    acts = np.ones(len(delassus), dtype=bool)
-    acts[taken.rows.normals] = ~found.arrives
-    acts[:contacts] = np.repeat(acts[2:contacts:3], 3)
-    island = connected_components((delassus != 0.0) & np.outer(acts, acts))[1]
-    missed = found.u_end[sets.rows] + np.where(sets.closing != OPEN, sets.gaps / taken.h, 0.0)
-    w, p = (null @ (null.T @ np.column_stack([missed, sets.compliances * found.impulse[sets.rows]]))).T
-    (rates, least), largest = np.zeros((2, len(w))), np.zeros(len(w), dtype=np.int64)
-    for number in np.unique(island[sets.rows]):
-        own, of = island[sets.rows] == number, np.flatnonzero(island[:contacts] == number)
-        if len(of) == 0:
-            continue
-        largest[own] = top = of[delassus[of, of].argmax()]
-        once = compliances[of // 3].max() / (SOFTEST * delassus[top, top])
-        count = -(w[own] @ p[own]) / max(w[own] @ w[own], TINY) / once
-        if 0.5 < count < 1.0 / TIED and abs(count - round(count)) <= TIED:
-            rates[own] = round(count) * once
-        else:
-            least[own] = once
-    return Shares(rates, least, rates * missed, largest)
+def dense(rows: StepRows, nv: int) -> Array:
+    """Return the Jacobian (rows, nv) of a step."""
+    out = np.zeros((len(rows.counts), nv))
+    for row, (values, columns, count) in enumerate(
+        zip(rows.values, rows.columns, rows.counts.tolist(), strict=True)
+    ):
+        out[row, columns[:count]] = values[:count]
+    return out
 
 
-def limit_of_compliances(
-    matrix: Array, velocities: Array, compliances: Array, shared: Array | None = None
-) -> Array:
-    """Return impulses (m, n) that cause velocities (m, n), in the limit of small compliances (m,). (D37)
+def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
+    """Return impulses (m, n) that cause velocities (m, n), in the limit of small compliances C (m,).
 
     The matrix (m, m) of velocities by impulses is of any rank; columns with NaN stay so. What no velocity
-    shows of the impulses λ is ℓᵀ C λ = ℓᵀ `shared` (m, n), or zero.
+    shows of the impulses λ is zero: ℓᵀ C λ = 0.
     """
     m = len(matrix)
     found = np.full_like(velocities, np.nan)
-    shared = np.zeros_like(velocities) if shared is None else shared
-    known = np.isfinite(velocities + shared).all(axis=0)
+    known = np.isfinite(velocities).all(axis=0)
     if m == 0:
         return found
     left, sizes, right = np.linalg.svd(matrix)
@@ -238,7 +214,7 @@ def limit_of_compliances(
     given, unit = velocities[:, known], sizes[0] / compliances.max()
     along = compliances[:, None] * right[small].T
     caused = given - along @ np.linalg.lstsq(null.T @ along, null.T @ given, rcond=RANK)[0]
-    wanted = np.concatenate([caused, unit * null.T @ shared[:, known]])
+    wanted = np.concatenate([caused, np.zeros((null.shape[1], given.shape[1]))])
     rows = np.concatenate([matrix, unit * null.T * compliances])
     found[:, known] = np.linalg.lstsq(rows, wanted, rcond=RANK)[0]
     return found

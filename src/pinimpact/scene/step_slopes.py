@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import RANK
+from .._numeric.tolerances import TINY
 from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
 from ..robot.derivatives import check_joints
@@ -17,7 +17,6 @@ from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID
-from ._kernels.step_rows import StepRows
 from ._kernels.tolerances import STEPS_DRIFT
 from .control_slopes import change_of_forces
 from .dense_step import DenseStep
@@ -25,7 +24,7 @@ from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
 from .row_bends import row_bends
 from .scene import Scene
-from .step_sets import OPEN, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances, shares_of
+from .step_sets import TIED, StepLaw, dense, limit_of_compliances
 from .step_taken import StepTaken
 
 
@@ -59,8 +58,6 @@ class _Moved(NamedTuple):
         u_start, u_end: (rows, n) of the velocities of the rows.
         length: (n,) of the length of the step [s].
         rows: The rows.
-        by_sharing: (nv, n) what targets that redundant contacts do not all reach add to `v_end`. (D40)
-        unsure: (nv, n) what they add at least where that is not known.
     """
 
     middle: Array
@@ -70,8 +67,6 @@ class _Moved(NamedTuple):
     u_end: Array
     length: Array
     rows: _Rows
-    by_sharing: Array
-    unsure: Array
 
 
 class StepSlopes:
@@ -105,7 +100,7 @@ class StepSlopes:
         self._carried = np.zeros(model.nv, dtype=bool)
         # of the step last asked for
         self._known: tuple[StepTaken, _Rows] | None = None
-        self._held: tuple[StepTaken, ActiveSets] | None = None
+        self._held: tuple[StepTaken, StepLaw] | None = None
         for kind, _, j, _ in self._frames:
             self._carried[j : j + (3 if kind == RIGID else 2)] = True
 
@@ -116,21 +111,20 @@ class StepSlopes:
         not are followed by displacements and impulses at these contacts.
         """
         taken, nv = _taken(step), len(step.v)
-        sets = self._sets(taken, False)
-        chosen = sets.closing == PINNED
-        if not chosen.any():
+        law = self._law(taken)
+        kept = law.pinned
+        if len(kept) == 0:
             return x
         self.boundary |= Boundary.CLOSED
-        jacobian, inverse, x = self._maps(taken, step.v).jacobian, np.linalg.inv(self._mass(step.q)), x.copy()
-        kept, n = sets.rows[chosen], x.shape[1]
+        inverse, x, n = np.linalg.inv(self._mass(step.q)), x.copy(), x.shape[1]
         pushed = np.zeros((2 * nv, 2 * len(kept)))
-        pushed[:nv, : len(kept)] = inverse @ jacobian[kept].T
-        pushed[nv:, len(kept) :] = inverse @ sets.directions(jacobian)[:, chosen]
+        pushed[:nv, : len(kept)] = inverse @ law.jacobian[kept].T
+        pushed[nv:, len(kept) :] = inverse @ law.pushes().T
         every = np.hstack([x[: 2 * nv], pushed])
         middle = self._middle(step, every[:nv], every[nv:], np.zeros(every.shape[1]))
         rows = self._rows(taken, step.v, (middle, every[nv:], np.zeros(every.shape[1])))
         missed = np.vstack([rows.gaps[kept], rows.start[kept]])
-        soft = np.tile(sets.compliances[chosen], 2)
+        soft = np.tile(law.softness(), 2)
         x[: 2 * nv] -= pushed @ limit_of_compliances(missed[:, n:], missed[:, :n], soft)
         return x
 
@@ -173,27 +167,17 @@ class StepSlopes:
 
     def modes(self, taken: StepTaken) -> Integers:
         """Return the modes (n + nl,) of contacts and limits in a step."""
-        work, rows = self._work, taken.rows
+        work, rows, law = self._work, taken.rows, self._law(taken)
         modes = np.zeros(work.contacts + work.limits, dtype=np.int64)
-        sets = self._sets(taken, False)
         modes[rows.held] = HELD
-        slipping = {one.contact for one in sets.slides}
-        for row in sets.rows.tolist():
-            if row % 3 == 2 and row < 3 * len(rows.contacts):
-                modes[rows.contacts[row // 3]] = SLIP if row // 3 in slipping else STICK
-        first = 3 * (len(rows.contacts) + len(rows.held))
-        for k, limit in enumerate(rows.limits.tolist()):
-            modes[work.contacts + limit] = STICK if first + k in sets.rows else FREE
+        modes[rows.contacts[law.slips]], modes[rows.contacts[law.sticks]] = SLIP, STICK
+        modes[work.contacts + rows.limits] = np.where(law.limits, STICK, FREE)
         return modes
 
-    def _sets(self, taken: StepTaken, otherwise: bool) -> ActiveSets:
-        if otherwise or self._held is None or self._held[0] is not taken:
+    def _law(self, taken: StepTaken) -> StepLaw:
+        if self._held is None or self._held[0] is not taken:
             work = self._work
-            given = work.friction, work.dry_friction, self._compliances, otherwise
-            found = active_sets(taken, *given)
-            if otherwise:
-                return found
-            self._held = taken, found
+            self._held = taken, StepLaw(taken, work.friction, work.dry_friction, self._compliances)
         return self._held[1]
 
     # ---- the equations of a step
@@ -235,23 +219,18 @@ class StepSlopes:
         known += softened[:, None] * (predicted - by_v) + total @ by_v
         known += np.outer(acting + softer * (expected - change), length)
         given = rows, (total, softer), (middle, known, length)
-        sets = self._sets(taken, False)
-        moved = self._solve(taken, sets, *given)
-        self._refuse_ties(taken, sets, moved, given)
+        moved = self._solve(taken, False, *given)
+        self._refuse_ties(taken, moved, given)
         return moved
 
-    def _refuse_ties(self, taken: StepTaken, sets: ActiveSets, moved: _Moved, given: tuple[Any, ...]) -> None:
+    def _refuse_ties(self, taken: StepTaken, moved: _Moved, given: tuple[Any, ...]) -> None:
         """Set changes of the velocity to NaN on which a tie makes a difference."""
-        rows, v_end = moved.rows, moved.v_end
+        rows, v_end, law = moved.rows, moved.v_end, self._law(taken)
         largest = np.nanmax(np.abs(np.concatenate([moved.middle, v_end])), initial=0.0)
-        pinned = sets.rows[sets.closing == PINNED]
-        sizes = np.abs(rows.jacobian[pinned]).sum(axis=1)
-        tied = (np.abs(rows.gaps[pinned]) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
-        tied |= (np.abs(moved.unsure) > TIED * largest).any(axis=0)
-        if (np.abs(moved.by_sharing) > TIED * largest).any():
-            self.boundary |= Boundary.EVENTS_COINCIDE
-        if sets.tied:
-            other = self._solve(taken, self._sets(taken, True), *given)
+        sizes = np.abs(rows.jacobian[law.pinned]).sum(axis=1)
+        tied = (np.abs(rows.gaps[law.pinned]) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
+        if law.tied.any():
+            other = self._solve(taken, True, *given)
             tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)
         if tied.any():
             self.boundary |= Boundary.EVENTS_COINCIDE
@@ -260,78 +239,70 @@ class StepSlopes:
     def _solve(
         self,
         taken: StepTaken,
-        sets: ActiveSets,
+        otherwise: bool,
         rows: _Rows,
         matrices: tuple[Array, Array],
         changes: tuple[Array, Array, Array],
     ) -> _Moved:
-        """Return the changes over a step, from those of the forces at given velocities and impulses. (D37)"""
+        """Return the changes over a step, from those of the forces at given velocities and impulses. (D40)
+
+        Ties are decided one way, or otherwise.
+        """
         (total, softer), (middle, known, length) = matrices, changes
-        jacobian, found, h = rows.jacobian, taken.found, taken.h
-        own = found.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
-        forces = rows.slopes.forces(own[:, 0]) @ middle
-        forces += np.outer(jacobian.T @ sets.bounds, length)
-        matrix, first = total.copy(), known.shape[1] - len(self._parameters)
-        for one in sets.slides:
-            a = 3 * one.contact
-            across = jacobian[a : a + 2].T @ one.turns
-            matrix += across @ jacobian[a : a + 2]
-            forces -= across @ rows.end[a : a + 2]
-            for column, parameter in enumerate(self._parameters, first):
-                if parameter == Parameter("friction", int(taken.rows.contacts[one.contact])):
-                    forces[:, column] -= found.impulse[a + 2] * one.direction @ jacobian[a : a + 2]
-        pushed, kept, stays = sets.directions(jacobian), jacobian[sets.rows], rows.end[sets.rows]
-        stays += np.where(sets.closing != OPEN, 1.0 / h, 0.0)[:, None] * rows.gaps[sets.rows]
-        stays -= np.outer(sets.gaps / h**2, length)
-        moved = np.linalg.solve(matrix, np.column_stack([known + forces, pushed]))
-        free, response = moved[:, : known.shape[1]], moved[:, known.shape[1] :]
-        velocities, none = -(kept @ free + stays), np.zeros((len(kept), 2 * known.shape[1]))
-        shared = self._shared(taken, sets, rows, total, middle, velocities)
-        given = np.hstack([velocities, none]), sets.compliances, shared
-        impulses, *effects = np.split(limit_of_compliances(kept @ response, *given), 3, axis=1)
-        v_end = free + response @ impulses
-        by_sharing, unsure = (response @ one for one in effects)
+        jacobian, found, h, law = rows.jacobian, taken.found, taken.h, self._law(taken)
+        response = np.asarray(np.linalg.solve(total, jacobian.T), dtype=float)
+        largest = law.largest(response)
+        softened = self._softened(rows, response, largest, (middle, length), matrices)
+        closing = rows.end + np.where(law.closes, 1.0 / h, 0.0)[:, None] * rows.gaps
+        closing -= np.outer(law.targets / h, length)
+        impulses, forces, by_friction = np.zeros_like(rows.end), np.zeros_like(known), np.zeros_like(rows.end)
+        for column, parameter in enumerate(self._parameters, known.shape[1] - len(self._parameters)):
+            if parameter is not None and parameter.kind == "friction":
+                of = taken.rows.contacts == parameter.contact
+                by_friction[: 3 * len(of), column] = np.repeat(of, 3)
+        v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
+        for one in law.iterations(response, largest, otherwise):
+            own = one.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
+            forces, moving = rows.slopes.forces(own[:, 0]) @ middle, closing
+            pushed = forces
+            if one.shift.any():
+                pushed = forces - rows.slopes.of_mass(one.shift) @ middle
+                pushed -= np.outer(softer * one.shift, length)
+                moving, motions = closing.copy(), rows.slopes.tree.motions(one.shift)
+                for k, row in enumerate(rows.slopes.rows):
+                    moving[3 * k : 3 * k + 3] += rows.turns[k] @ row.slopes(motions) @ middle
+            impulses = one.kept @ impulses - one.stiff @ moving + one.bent[:, None] * softened
+            impulses += np.outer(one.by_length, length) + one.by_friction[:, None] * by_friction
+            matrix = total + jacobian.T @ one.stiff @ jacobian
+            v_end = np.asarray(np.linalg.solve(matrix, known + pushed + jacobian.T @ impulses), dtype=float)
+            impulses -= one.stiff @ (jacobian @ v_end)
         v_end[taken.stopped] = 0.0
-        u_end = jacobian @ v_end + rows.end
-        change = np.asarray(np.linalg.solve(total, jacobian.T @ found.impulse), dtype=float)
-        after = forces + pushed @ impulses - rows.slopes.of_mass(change) @ middle
-        for one in sets.slides:
-            along = jacobian[3 * one.contact : 3 * one.contact + 2]
-            after -= along.T @ one.turns @ along @ v_end
+        u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
+        after = forces + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
         after -= np.outer(softer * change, length)
         mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
-        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, by_sharing, unsure)
+        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows)
 
-    def _shared(
+    def _softened(
         self,
-        taken: StepTaken,
-        sets: ActiveSets,
         rows: _Rows,
-        total: Array,
-        middle: Array,
-        velocities: Array,
+        response: Array,
+        largest: Integers,
+        moved: tuple[Array, Array],
+        matrices: tuple[Array, Array],
     ) -> Array:
-        """Return C δλ along ℓ, (m, 3 n), for changes of velocities (m, n) that the impulses cause. (D40)
-
-        The first n columns are all of it, the next what of it follows from the velocities, the last what a
-        single iteration makes where κ is not known. How impulses are shared moves nothing without slip.
-        """
-        jacobian, out = rows.jacobian, np.zeros((3, *velocities.shape))
-        if sets.slides:
-            left, sizes, _ = np.linalg.svd(jacobian[sets.rows])
-            null = left[:, int((sizes > RANK * sizes[0]).sum()) :]
-            if null.shape[1] > 0:
-                response = np.asarray(np.linalg.solve(total, jacobian.T), dtype=float)
-                soft = self._compliances[taken.rows.contacts]
-                shares = shares_of(taken, sets, soft, jacobian @ response, null)
-                out[:] = shares.rates[:, None] * velocities
-                out[2] = shares.least[:, None] * velocities
-                for top in np.unique(shares.largest[shares.rates > 0.0]).tolist():
-                    y, (k, e), own = response[:, top], divmod(top, 3), shares.largest == top
-                    turned = rows.turns[k] @ rows.slopes.rows[k].slopes(rows.slopes.tree.motions(y))
-                    softened = (2.0 * turned[e] - y @ rows.slopes.of_mass(y)) @ middle
-                    out[0][own] += np.outer(shares.missed[own], softened / (jacobian[top] @ y))
-        return np.hstack(list(out))
+        """Return the relative changes (rows, n) of the r of (16.3), with the largest rows of W."""
+        (middle, length), (_, softer) = moved, matrices
+        out = np.zeros((len(largest), middle.shape[1]))
+        for top in np.unique(largest).tolist():
+            y, k = response[:, top], top // 3
+            turned = np.zeros(out.shape[1])
+            if k < len(rows.turns):
+                slopes = rows.slopes.rows[k].slopes(rows.slopes.tree.motions(y))
+                turned = 2.0 * (rows.turns[k] @ slopes)[top % 3] @ middle
+            turned = turned - y @ rows.slopes.of_mass(y) @ middle - y @ (softer * y) * length
+            out[largest == top] = turned / max(rows.jacobian[top] @ y, TINY)
+        return out
 
     def _rows(self, taken: StepTaken, v: Array, moved: tuple[Array, Array, Array]) -> _Rows:
         """Return the rows of a step, which starts with v (nv,), with their changes.
@@ -348,7 +319,7 @@ class StepSlopes:
         if self._known is not None and self._known[0] is taken:
             return self._known[1]
         nv, h = len(v), taken.h
-        jacobian = _dense(taken.rows, nv)
+        jacobian = dense(taken.rows, nv)
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, *taken.near, self._spare)
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
@@ -431,7 +402,7 @@ class StepSlopes:
         for xi, pushes, before, rows, near in taken.removals:
             placed = PlacedRobot(model, self._data, before)
             slopes = RowSlopes(placed, *near, self._spare)
-            jacobian = _dense(rows, len(xi))
+            jacobian = dense(rows, len(xi))
             of_contacts = 3 * (len(rows.contacts) + len(rows.held))
             every = np.concatenate([rows.normals, rows.held_rows])
             acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(rows.normals))
@@ -458,13 +429,3 @@ def _taken(step: DenseStep) -> StepTaken:
     """Return what a time step was computed from."""
     assert step.taken is not None
     return step.taken
-
-
-def _dense(rows: StepRows, nv: int) -> Array:
-    """Return the Jacobian (rows, nv) of a step."""
-    out = np.zeros((len(rows.counts), nv))
-    for row, (values, columns, count) in enumerate(
-        zip(rows.values, rows.columns, rows.counts.tolist(), strict=True)
-    ):
-        out[row, columns[:count]] = values[:count]
-    return out

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.augmented_newton import ITERATIONS
 from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
@@ -24,7 +25,7 @@ from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
-from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
+from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem, widest
 from ._kernels.tolerances import (
     STEPS_SHORTEST,
     STEPS_SLACK,
@@ -88,7 +89,7 @@ class TimeStepping(Integrator):
             return
         self._prepared = True
         self._touching = max(work.touching_gap, STEPS_TOUCH * self.extent)
-        self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
+        self._rest, self._widest = Rest(model, work, state), widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         self._still = STEPS_STILL * (work.resting_speed or 1.0)
@@ -253,9 +254,9 @@ class TimeStepping(Integrator):
             *(self._rest.joints, self._collides, self._compliances),
         )
         state.warm_start = np.array(state.warm_start)
-        rows = self._rows(middle, v, h, slack, self._faces.boxes)
+        rows, room = self._rows(middle, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps
         while True:
-            found, state.pushed = rows.room(len(v)), np.array(pushed)
+            found, state.pushed = rows.room(len(v), room), np.array(pushed)
             off, *ends = midpoint_step(
                 *(self.work, t + 0.5 * h, h, middle, v, strikes),
                 *(system, rows, state.warm_start, state.pushed, found),
@@ -311,15 +312,8 @@ class TimeStepping(Integrator):
         items[3 * every - 2 * nc :][: len(rows.limits)] = active[nc:]
         islands = np.empty(self._trees, dtype=np.int64)
         trees_at_rest(
-            *(
-                *velocities,
-                step.h * pushed,
-                self.work.joint_metres,
-                self._still,
-                self._tree,
-                rows.columns,
-                rows.counts,
-            ),
+            *(*velocities, step.h * pushed, self.work.joint_metres, self._still, self._tree),
+            *(rows.columns, rows.counts),
             *(nc, items, rows.surface, islands),
         )
         if step.closed is not None and self._rest.begin(islands, step.closed):
@@ -415,10 +409,9 @@ class TimeStepping(Integrator):
         assert pushed is not None
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
-        kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
         rests = self._rest.joints[work.velocity_joint]
         given = h, q, softened, pushed, follows, rests, self._near_of(rows), axes
-        return StepTaken(*given, rows, kept, self._touching, self._closed(h, found))
+        return StepTaken(*given, rows, found.kept(), self._touching, self._closed(h, found))
 
     def _closed(self, h: float, found: StepResult) -> float:
         """Return the overlap [m] that a step of length h closes by velocities."""
@@ -505,11 +498,3 @@ class TimeStepping(Integrator):
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)
             self._sample()
-
-
-def _widest(before: Integers) -> int:
-    """Return how many velocities move the ends of a contact at the most, from the one before each."""
-    depth: list[int] = []
-    for parent in before.tolist():
-        depth.append(1 + (depth[parent] if parent >= 0 else 0))
-    return min(2 * max(depth), len(depth))

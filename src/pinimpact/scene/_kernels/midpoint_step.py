@@ -368,7 +368,8 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     velocities(rows, offset, v_end, free)
     slow = work.resting_speed if bent else 0.0
     problem, active = contact_problem(work, h, system, rows, found.arrives, slow, free)
-    off = step_impulses(problem, active, system.tree, SOFTEST, SETTLED, begin, mean, found.impulse)
+    given = SOFTEST, SETTLED, begin, mean, found.impulse, found.course
+    off = step_impulses(problem, active, system.tree, *given)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:
             v_end[c] = predicted[c] = 0.0

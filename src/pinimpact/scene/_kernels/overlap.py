@@ -63,5 +63,5 @@ def least_displacement(system, rows, displacement, pushes):
         *(system.mass, system.inverse, system.start, values, columns, counts),
         *(free, none, lower, upper, none),
     )
-    begin, active = np.zeros(len(displacement)), flags(n, True)
-    step_impulses(problem, active, system.tree, LITTLE, SETTLED, begin, displacement, pushes)
+    begin, active, unknown = np.zeros(len(displacement)), flags(n, True), np.empty((2, 0, n))
+    step_impulses(problem, active, system.tree, LITTLE, SETTLED, begin, displacement, pushes, unknown)

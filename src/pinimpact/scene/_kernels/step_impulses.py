@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Integers, declared
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, Integers, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, solve_velocities
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
@@ -84,7 +84,7 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
 
 
 @external
-def solve_island(problem, part, accuracy, begin, change, found):
+def solve_island(problem, part, accuracy, begin, change, found, course):
     """Find the impulses of an island; return how far they are from Coulomb's law, in parts of u_free.
 
     Args:
@@ -94,6 +94,7 @@ def solve_island(problem, part, accuracy, begin, change, found):
         begin: (m,) change of the velocities with which to begin; takes a better one, see `solve_velocities`.
         change: (m,) takes that by the impulses.
         found: (n,) takes the impulses.
+        course: (2, …, n) takes r and f⁺ of the iterations that lead to them, zeros if none do.
     """
     n, m = len(found), len(change)
     off, other, moved = math.inf, np.zeros(n), np.empty(m)
@@ -101,14 +102,19 @@ def solve_island(problem, part, accuracy, begin, change, found):
         if attempt > 0:  # with less at a time, from nothing
             part *= LESS
             filled(begin, 0.0)
-        left = solve_velocities(problem, part, accuracy, begin, moved, other)
+        now = np.zeros_like(course)
+        left = solve_velocities(problem, part, accuracy, begin, moved, other, now)
         if left < off:
             off = left
+            course[:] = now
             assign(change, moved)
             assign(found, other)
         if off <= USABLE:
             return off
-    return off if off <= TOLERABLE else solve_in_impulses(problem, off, change, found)
+    if off <= TOLERABLE:
+        return off
+    course[:] = 0.0
+    return solve_in_impulses(problem, off, change, found)
 
 
 @external
@@ -218,9 +224,9 @@ def problem_of(problem, island):
     return VelocityProblem(own_mass, own_inverse, first, own, where, lengths, given, mu, low, high, soft)
 
 
-@declared(VelocityProblem, FLAGS, INTEGERS, float, float, FLOATS, FLOATS, FLOATS, result=float)
+@declared(VelocityProblem, FLAGS, INTEGERS, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK, result=float)
 @jit
-def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse):
+def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse, course):
     """Find the impulses of a step; return how far they are from Coulomb's law, in parts of u_free.
 
     Of several solutions nearly the limit of small compliances is taken. (11.5)
@@ -236,6 +242,7 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse)
             nearly the same begins best.
         change: (nv,) takes that by the impulses.
         impulse: (n,) takes the impulses.
+        course: (2, …, n) takes r and f⁺ of the iterations of each island, see `solve_island`.
     """
     nc, nv, trees = len(problem.friction), len(tree), 0
     for c in range(nv):
@@ -243,6 +250,7 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse)
     label, first = np.empty(trees, dtype=np.int64), np.empty(len(active), dtype=np.int64)
     label_trees(problem.columns, problem.counts, nc, active, tree, label, first)
     filled(impulse, 0.0)
+    course[:] = 0.0
     worst, place = 0.0, np.empty(nv, dtype=np.int64)
     for number in range(trees):
         island = members(nc, number, label, first, tree, place)
@@ -254,10 +262,11 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse)
         start, moved, found = np.empty(len(moves)), np.empty(len(moves)), np.empty(len(rows))
         for a in range(len(moves)):
             start[a] = begin[moves[a]]
-        own = problem_of(problem, island)
-        worst = max(worst, solve_island(own, part, accuracy, start, moved, found))
+        own, steps = problem_of(problem, island), np.zeros((2, course.shape[1], len(rows)))
+        worst = max(worst, solve_island(own, part, accuracy, start, moved, found, steps))
         for a in range(len(rows)):
             impulse[rows[a]] = found[a]
+            course[:, :, rows[a]] = steps[:, :, a]
         for a in range(len(moves)):
             begin[moves[a]], change[moves[a]] = start[a], moved[a]
     return worst

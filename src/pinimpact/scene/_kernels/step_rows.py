@@ -46,18 +46,27 @@ class StepRows(NamedTuple):
         nc, nh = len(self.contacts), len(self.held)
         return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
 
-    def room(self, nv: int) -> StepResult:
-        """Return room for what a step leads to, with nv velocities."""
+    def room(self, nv: int, iterations: int) -> StepResult:
+        """Return room for what a step leads to, with nv velocities, and for so many iterations."""
         impulse, u_start, u_end = np.empty((3, len(self.counts)))
         predicted, v_end = np.empty((2, nv))
         items = len(self.contacts) + len(self.limits)
         arrives, gaps = np.empty(items, dtype=bool), np.empty(items)
-        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, np.empty(1, dtype=bool))
+        bent, course = np.empty(1, dtype=bool), np.empty((2, iterations, len(self.counts)))
+        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, bent, course)
 
     @property
     def held_rows(self) -> Integers:
         """(3 nh,) The rows of held contacts."""
         return 3 * len(self.contacts) + np.arange(3 * len(self.held))
+
+
+def widest(before: Integers) -> int:
+    """Return how many velocities move the ends of a contact at the most, from the one before each."""
+    depth: list[int] = []
+    for parent in before.tolist():
+        depth.append(1 + (depth[parent] if parent >= 0 else 0))
+    return min(2 * max(depth), len(depth))
 
 
 class StepSystem(NamedTuple):
@@ -96,6 +105,7 @@ class StepResult(NamedTuple):
         v_end: (nv,) the velocity at the end.
         gap_end: (nc + nl,) the gaps at the end [m].
         bent: (1,) whether the rows of contacts bend along the velocity, and slow overlap is closed.
+        course: (2, …, rows) compliances r and impulses of the iterations, zeros from the last one on. (16.3)
     """
 
     impulse: Floats
@@ -106,6 +116,12 @@ class StepResult(NamedTuple):
     v_end: Floats
     gap_end: Floats
     bent: Flags
+    course: FloatStack
+
+    def kept(self) -> StepResult:
+        """Return this with its own velocities, and the iterations that were taken."""
+        used, predicted = self.course[0].any(axis=1), self.predicted.copy()
+        return self._replace(v_end=self.v_end.copy(), predicted=predicted, course=self.course[:, used])
 
     def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
         """Return the gaps (nc + nl,) after a part of a step of length h, whose rates are linear in time."""
