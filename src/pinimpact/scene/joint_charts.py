@@ -8,6 +8,7 @@ import pinocchio as pin
 from ..arrays import Array, Integers
 from ..errors import ModelError
 from ._kernels.lie_charts import CIRCLE, PLANAR, RIGID, ROTATION, VECTOR
+from ._kernels.tolerances import STEPS_TURN
 
 
 def joint_table(model: pin.Model) -> Integers:
@@ -61,12 +62,12 @@ def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
     return rates
 
 
-def fastest_turn(charts: Integers, v: Array) -> float:
-    """Return the largest speed of what turns the axes of its own linear velocity: of free bodies [rad/s]."""
+def turns_far(charts: Integers, v: Array, h: float) -> bool:
+    """Return whether what turns the axes of its own linear velocity, a free body, turns far in a step."""
     fastest = 0.0
     for kind, _, j, _ in charts.tolist():
         if kind == RIGID:
             fastest = max(fastest, float(np.linalg.norm(v[j + 3 : j + 6])))
         elif kind == PLANAR:
             fastest = max(fastest, abs(float(v[j + 2])))
-    return fastest
+    return h * fastest > STEPS_TURN

@@ -26,20 +26,13 @@ from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem, widest
-from ._kernels.tolerances import (
-    STEPS_SHORTEST,
-    STEPS_SLACK,
-    STEPS_STILL,
-    STEPS_TOGETHER,
-    STEPS_TOUCH,
-    STEPS_TURN,
-)
+from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
-from .joint_charts import fastest_turn
+from .joint_charts import turns_far
 from .rest import Rest
 from .step_taken import Near, Removal, StepTaken
 from .switched_off import locked_joints
@@ -173,7 +166,8 @@ class TimeStepping(Integrator):
         state, model = self.state, self.model
         before, middle = (state.pushed, state.step_before), pin.integrate(model, state.q, 0.5 * h * state.v)
         may_be_halved = h > STEPS_SHORTEST * self._dt
-        if may_be_halved and self._too_long(h, middle):
+        too_far = may_be_halved and turns_far(self.work.joint_charts, state.v, h)
+        if too_far or (may_be_halved and self._faces.may_pass(middle, state.v, h)):
             return PASSED
         if h > LONGER * state.step_before:
             state.pushed = self._no_change
@@ -224,13 +218,6 @@ class TimeStepping(Integrator):
                 step.taken.stopped |= self._rest.joints[self.work.velocity_joint]
         state.v = found.v_end
         return WHOLE
-
-    def _too_long(self, h: float, middle: Array) -> bool:
-        """Return whether bodies may pass through each other in a step, or turn too far."""
-        v = self.state.v
-        if h * fastest_turn(self.work.joint_charts, v) > STEPS_TURN:
-            return True
-        return self._faces.may_pass(middle, v, h)
 
     def _solve(
         self, t: float, h: float, middle: Array, strikes: bool
