@@ -42,9 +42,6 @@ PATIENCE = 3
 FINER = 0.1
 """Part of r that is used, once, from an iteration on that does not halve the change."""
 
-INEXACT = 0.1
-"""Tolerance of Newton's method, relative to the change of the previous iteration."""
-
 SLOPE = 0.1
 """Largest slope at the end of a line search, relative to that at its start."""
 
@@ -282,17 +279,16 @@ def fill_compliances(problem, part, diagonal, given):
 def solve_compliances(problem, profile, r, before, least, now, system):
     """Bring w to the solution of (16.3) for given f, by Newton's method.
 
-    The arguments are those of `fill_system`, the relative sizes `least` of the residual at which rounding may
-    stop the steps and which is enough, and the `Iterate` now, which changes.
+    The arguments are those of `fill_system`, the relative size `least` of the residual that is enough, small
+    so that w is a function that can be differentiated, and the `Iterate` now, which changes.
     """
-    rounded, enough = least
     w, momentum, off = now.w, now.momentum, now.off
     m, reached = len(w), math.inf
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
         answer_signals()
         left = balance(problem, r, before, now)
-        if step == STEPS or left <= enough or (left < 1e3 * rounded and left > 0.5 * reached):
+        if step == STEPS or left <= least or (left < 1e3 * least and left > 0.5 * reached):
             break
         reached, share = left, 0.0
         for attempt in range(2):  # the second one descends in any case
@@ -367,8 +363,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
     balanced = 0.1 * accuracy
     lowest, reached, finer, slow = math.inf, 1.0, False, 0
     for iteration in range(ITERATIONS):
-        enough = max(balanced, INEXACT * reached)
-        solve_compliances(problem, profile, r, x, (balanced, enough), now, system)
+        solve_compliances(problem, profile, r, x, balanced, now, system)
         if iteration == 0:
             assign(begin, w)
         reached = 0.0
