@@ -176,9 +176,8 @@ def _go_to_event(
             if path.shape[0] > 0:
                 counts[POINT] = record_step(path, counts[POINT], clock, series, state, h, degree, pace, root)
             clock += time_power(NONE_YET, h, pace, root)
-        for j in range(len(state.fresh) if tied else 0):
-            if state.fresh[j] == TIED:
-                begin_to_slip(state, j)
+        if tied:
+            _end_onset(state)
         if first <= h:
             apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
             return at_once + 1, clock
@@ -232,10 +231,16 @@ def _expand_onset(system, state, unknown, inverse, accuracy, series):
             slowest = min(slowest, series.speed[0, j] * h * h)
     if slowest > SLIP_SPEED:
         return h, pace
+    _end_onset(state)
+    return 0.0, 1.0
+
+
+@inlined
+def _end_onset(state):
+    """Let slips that were to begin together, and have not moved, begin each by itself."""
     for j in range(len(state.fresh)):
         if state.fresh[j] == TIED:
             begin_to_slip(state, j)
-    return 0.0, 1.0
 
 
 @inlined
