@@ -155,6 +155,33 @@ def test_a_mass_that_is_no_number_is_named():
         pinimpact.impact(model, model.createData(), Q, V, TIP)
 
 
+@pytest.mark.parametrize("count", range(2, 7))
+def test_an_inertia_that_no_density_has_is_warned_of(count):
+    points = np.random.default_rng(count).normal(size=(count, 3))  # on a line, in a plane, in space
+    model = pendulum()
+
+    def strike(moments):  # ∫ x xᵀ dm of a density has no negative eigenvalue
+        inertia = np.trace(moments) * np.eye(3) - moments
+        model.inertias[1] = pin.Inertia(1.0, np.array([0.0, 0.0, -0.5]), (inertia + inertia.T) / 2)
+        pinimpact.impact(model, model.createData(), Q, V, TIP)
+
+    moments, axes = np.linalg.eigh(np.cov(points.T))
+    strike(axes * moments @ axes.T)
+    if count > 2:
+        moments[0] = -0.3 * moments[1]
+        with pytest.warns(pinimpact.InertiaWarning, match="of joint 'hinge': its principal moments are"):
+            strike(axes * moments @ axes.T)
+
+
+def test_a_negative_mass_beside_a_larger_one_is_refused():
+    model = ball()
+    model.addJoint(1, pin.JointModelRX(), pin.SE3.Identity(), "lid")
+    model.inertias[2] = pin.Inertia(-1e-3, np.zeros(3), 1e-2 * np.eye(3))
+    scene = Scene(model, [])
+    with pytest.raises(pinimpact.ModelError, match=r"negative mass -0\.001 kg of joint 'lid'"):
+        simulate(scene, pin.neutral(model), np.zeros(model.nv), 0.1)
+
+
 @pytest.mark.parametrize(
     ("robot", "says"),
     [

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .contact_space.solve import solve_impact as solve_impact
     from .errors import (
         BoundReachedWarning as BoundReachedWarning,
+        InertiaWarning as InertiaWarning,
         InputError as InputError,
         JointLimitWarning as JointLimitWarning,
         LawError as LawError,
@@ -79,6 +80,7 @@ _HOMES = {
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (
         "BoundReachedWarning",
+        "InertiaWarning",
         "InputError",
         "JointLimitWarning",
         "LawError",

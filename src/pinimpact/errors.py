@@ -24,6 +24,10 @@ class PinimpactError(Exception):
         return self.message
 
 
+class InertiaWarning(UserWarning):
+    """Principal moments of inertia that no body can have: the largest exceeds the sum of the others."""
+
+
 class JointLimitWarning(UserWarning):
     """A configuration is outside the joint limits, perhaps because it is in degrees."""
 

@@ -15,6 +15,7 @@ from ..checks import finite_array
 from ..errors import InputError
 from ._kernels.robot_workspace import RobotWorkspace
 from .forest import Forest
+from .inertias import check_inertias
 from .joint_limits import bounds, warn_of_limits
 from .names import frame_id, motion_signs
 from .pinocchio_bridge import flaw
@@ -45,6 +46,7 @@ class DataCache:
         self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
         self.flaw = flaw(model)
+        check_inertias(model)
         self.bounds = bounds(model) + np.array([[-SLACK], [SLACK]])
         self.joints: tuple[Integers, Integers] | None = None
         self.frames: dict[Any, int] = {}

@@ -15,3 +15,7 @@ to it and to what collides, at the start of a motion to 1 m/s and the largest ve
 
 SLACK = 1e-4
 """Distance [rad or m] beyond a bound without a warning, for rounded descriptions and compliant stops."""
+
+ROUNDED_INERTIA = 1e-2
+"""Part of the largest principal moment by which it may exceed the sum of the others: in rounded descriptions
+of thin plates, which have equality, it does."""

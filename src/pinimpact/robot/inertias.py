@@ -1,0 +1,37 @@
+"""Whether the inertias of a model can be those of bodies."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pinocchio as pin
+
+from .._numeric.tolerances import NOISE
+from ..errors import InertiaWarning, ModelError
+from .tolerances import ROUNDED_INERTIA
+
+
+def check_inertias(model: pin.Model) -> None:
+    """Raise `ModelError` for a negative mass; warn of principal moments that no body can have.
+
+    For a density ρ ≥ 0 the largest principal moment is at most the sum of the others; so none is negative.
+    """
+    for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
+        if inertia.mass < 0.0:
+            raise ModelError(
+                f"model: the negative mass {inertia.mass:.6g} kg of joint {name!r}; a mass is at least 0",
+                value=name,
+            )
+        if not np.isfinite(inertia.toDynamicParameters()).all():
+            continue  # the mass matrix is refused
+        least, middle, largest = np.linalg.eigvalsh(inertia.inertia).tolist()
+        rounding = NOISE * inertia.mass * float(inertia.lever @ inertia.lever)  # of sums of several links
+        if largest - least - middle > ROUNDED_INERTIA * largest + rounding:
+            warnings.warn(
+                f"model: no body can have the inertia of joint {name!r}: its principal moments are "
+                f"{least:.6g}, {middle:.6g} and {largest:.6g} kg m², and the largest must be at most the sum "
+                "of the others; correct the inertias of its links",
+                InertiaWarning,
+                stacklevel=2,
+            )
