@@ -42,7 +42,7 @@ def several(most=0.3):
             model = pin.appendModel(model, arm, 0, pin.SE3.Random())
         else:
             joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Random(), f"free {k}")
-            model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+            model.appendBodyToJoint(joint, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
             model.addFrame(pin.Frame(f"free {k}", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
     model.armature = np.linspace(0.0, most, model.nv)
     unbounded(model)
@@ -84,7 +84,7 @@ def test_dynamics_of_parts_are_those_of_the_whole(armature):
     pin.seed(3)
     model, q, v = several(armature)
     whole, parts = _InPlace(model), _OfParts(model, Forest(model, 7))
-    model.inertias[1] = pin.Inertia.Random()  # what has changed since counts
+    model.inertias[1] = pin.Inertia.FromEllipsoid(2.0, 0.1, 0.2, 0.4)  # what has changed since counts
     parts.refresh()
     for robot in (whole, parts):
         robot.q[:], robot.v[:], robot.tau[:] = q, v, np.linspace(-3.0, 3.0, model.nv)

@@ -232,7 +232,7 @@ def test_the_check_is_made_once_for_a_model_and_again_when_it_grows(monkeypatch)
         ask()
     assert checked == [7]
     model.addJoint(6, pin.JointModelRX(), pin.SE3.Identity(), "more")
-    model.appendBodyToJoint(7, pin.Inertia.Random(), pin.SE3.Identity())
+    model.appendBodyToJoint(7, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
     ask()
     assert checked == [7, 8]
 

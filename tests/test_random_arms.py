@@ -455,7 +455,7 @@ def test_the_rows_are_those_of_any_joint():
     rng = np.random.default_rng(0)
     for k, joint in enumerate(joints):
         parent = model.addJoint(parent, joint, pin.SE3.Random(), f"joint {k}")
-        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+        model.appendBodyToJoint(parent, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
     model.addFrame(pin.Frame("tip", parent, pin.SE3.Random(), pin.FrameType.OP_FRAME))
     q = pin.integrate(model, pin.neutral(model), rng.standard_normal(model.nv))
     contact = Contact("tip", Plane(normal=(0.2, -0.4, 0.9)), 0.3, 0.5)

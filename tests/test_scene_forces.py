@@ -28,12 +28,12 @@ def tree(rng):
     """A free-flying body with three arms, tips at their ends, and dry friction in two joints."""
     model = pin.Model()
     root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(root, pin.Inertia.Random(), pin.SE3.Identity())
+    model.appendBodyToJoint(root, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
     for arm in range(3):
         parent = root
         for k, joint in enumerate((pin.JointModelRX(), pin.JointModelPY(), pin.JointModelSpherical())):
             parent = model.addJoint(parent, joint, pin.SE3.Random(), f"{arm}{k}")
-            model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+            model.appendBodyToJoint(parent, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
         model.addFrame(pin.Frame(f"tip{arm}", parent, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
     model.lowerPositionLimit, model.upperPositionLimit = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
     friction = np.zeros(model.nv)

@@ -660,7 +660,7 @@ def test_a_ball_joint_and_a_planar_joint():
     # tangent spaces in which velocities do not commute
     model = pin.Model()
     base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "slide")
-    model.appendBodyToJoint(base, pin.Inertia.Random(), pin.SE3.Identity())
+    model.appendBodyToJoint(base, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
     arm = model.addJoint(
         base, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0, 0, 0.5])), "shoulder"
     )

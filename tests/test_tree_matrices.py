@@ -43,7 +43,7 @@ def robot(kind, root=None) -> pin.Model:
     joint = make(AXIS, np.array([0.8, 0.6, 0.0])) if kind == "universal" else make()
     model = pin.Model()
     parent = model.addJoint(0, root() if root else pin.JointModelRY(), pin.SE3.Random(), "root")
-    model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Random())
+    model.appendBodyToJoint(parent, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
     for name, one, at in (("joint", joint, 1), ("left", pin.JointModelRX(), 2), ("right", joint, 2)):
         j = model.addJoint(at, one, pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), rng.random(3)), name)
         inertia = pin.Inertia(1.0 + rng.random(), rng.random(3), np.diag(0.3 + 0.1 * rng.random(3)))
