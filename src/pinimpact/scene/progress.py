@@ -33,7 +33,7 @@ DRIFTED = 1e4
 it is less than two of them, some hundred where a joint and a contact hold nearly the same motion."""
 
 GAINED = 10.0
-"""Factor on rtol: the part of the kinetic energy that friction may give by the errors of steps."""
+"""Factor on the relative error of velocities: the part of the kinetic energy that friction may give."""
 
 ROLLING = 2.0
 """Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
@@ -125,9 +125,8 @@ class Progress:
         rounding = 4.0 * math.ulp(max(abs(by_joints), abs(by_contacts)))  # of sums that grow step by step
         too_much = gained > self._little + self._weight * ROLLING * error * until + rounding
         too_much |= at_once > self._little + forces * error * (until - step.start) + rounding
-        if too_much and gained > GAINED * self._options.rtol * kinetic_energy(
-            self._model, self._instant.data, state.q, state.v
-        ):
+        kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
+        if too_much and gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
             raise IrregularMotionError(
                 f"scene: friction would give {gained:.3g} J at t = {state.t:.6g} s, so that the modes of "
                 "contact are none; a smaller rtol may help"
