@@ -121,7 +121,13 @@ def test_what_is_no_number_is_refused(field, value):
 
 @pytest.mark.parametrize(
     ("options", "field"),
-    [({"rtol": 1.0}, "rtol"), ({"max_impacts": 1.5}, "max_impacts"), ({"rtol": 0.0}, "rtol")],
+    [
+        ({"rtol": 1.0}, "rtol"),
+        ({"rtol": 1e-20}, "rtol"),
+        ({"rtol": 0.0}, "rtol"),
+        ({"max_impacts": 1.5}, "max_impacts"),
+        ({"scheme": "event-driven", "dt": 1e-2}, "dt"),
+    ],
 )
 def test_numbers_out_of_range_are_refused(options, field):
     with pytest.raises(InputError, match=f"^{field}: "):

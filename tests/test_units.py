@@ -69,7 +69,8 @@ def test_the_same_scene_in_other_units_moves_likewise(scheme, units):
     found = []
     for m, kg, s in ((1.0, 1.0, 1.0), units):
         scene, q0, v0, by_q, by_v = arm_and_ball(m, kg, s)
-        trajectory = pinimpact.simulate(scene, q0, v0, 0.7 * s, scheme=scheme, dt=2e-3 * s)
+        steps = {"dt": 2e-3 * s} if scheme == "time-stepping" else {}
+        trajectory = pinimpact.simulate(scene, q0, v0, 0.7 * s, scheme=scheme, **steps)
         hits = [(hit.source, hit.resting) for hit in trajectory.impacts]
         found.append((hits, trajectory.q[-1] / by_q, trajectory.v[-1] / by_v))
     (hits, q, v), (others, q_other, v_other) = found
@@ -118,7 +119,8 @@ def test_a_slow_bounce_at_a_stop_does_not_depend_on_the_size(scheme, length, alo
     for speed in (2e-3, 4e-4):  # of the end, in parts of √L; resting is 3.1e-4, what bounces half of it
         scene = Scene(model, contacts, limit_restitution=0.5)
         start = [0.1 - 2.5e-3 * speed], [speed / s]
-        trajectory = pinimpact.simulate(scene, *start, 4e-3 * s, scheme=scheme, dt=1e-3 * s)
+        steps = {"dt": 1e-3 * s} if scheme == "time-stepping" else {}
+        trajectory = pinimpact.simulate(scene, *start, 4e-3 * s, scheme=scheme, **steps)
         v = trajectory.v[-1, 0] * s
         assert v == pytest.approx(-0.5 * speed if speed > 1e-3 else 0.0, abs=1e-12)
 

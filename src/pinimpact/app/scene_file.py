@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, TypeVar, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ..checks import in_short, near_matches
+from ..contact_space.methods import LARGEST_RTOL, LEAST_RTOL
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
@@ -247,7 +248,7 @@ class SceneFile(Table):
     [Impacts and rest](scenes.md#impacts-and-rest)."""
     without: list[str] = []
     """Effects to switch off, by name; see [Effects](effects.md)."""
-    rtol: Annotated[float, Field(gt=0.0)] = RTOL
+    rtol: Annotated[float, Field(ge=LEAST_RTOL, le=LARGEST_RTOL)] = RTOL
     """Relative tolerance of each step."""
     atol: Annotated[float, Field(gt=0.0)] = ATOL
     """Absolute tolerance of each step [m, rad, m/s, rad/s]."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import choice, in_short, whole_number
+from ..checks import choice, real_number, whole_number
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..status import Status
 from .inputs import Array, Inputs
@@ -103,10 +103,12 @@ def _load_exact() -> Run:
 
 def checked_rtol(rtol: Any, least: float) -> float:
     """Return `rtol` as a float, or raise `InputError`."""
-    if not isinstance(rtol, (int, float, np.floating)) or not least <= float(rtol) <= 0.1:
-        expected = f"a number from {least:g} to 0.1 expected"
-        raise InputError(f"rtol: {in_short(rtol)} given, {expected}", value=rtol)
-    return float(rtol)
+    number = real_number("rtol", rtol)
+    if not least <= number <= LARGEST_RTOL:
+        raise InputError(
+            f"rtol: {number!r} given, a number from {least:g} to {LARGEST_RTOL:g} expected", value=rtol
+        )
+    return number
 
 
 def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array, path: Array) -> Raw:
@@ -133,8 +135,9 @@ def _load_steps(table: str, default: int) -> Run:
     return run
 
 
-RTOL, LEAST_RTOL = 1e-8, 3e-14
-"""Relative tolerances of methods of chosen steps: the default, and the least, which rounding allows."""
+RTOL, LEAST_RTOL, LARGEST_RTOL = 1e-8, 3e-14, 0.1
+"""Relative tolerances of chosen steps: the default, the least, which rounding allows, and the largest, beyond
+which estimates of errors are meaningless."""
 
 MOST_STEPS = 10**9
 FIRST_STEPS = 10

@@ -6,11 +6,9 @@ import math
 from typing import NamedTuple
 
 from ..checks import real_number
+from ..contact_space.methods import LEAST_RTOL, checked_rtol
 from ..errors import InputError
 from ._kernels.tolerances import ATOL, DT, RTOL
-
-LARGEST_RTOL = 0.1
-"""The largest relative tolerance of a step: beyond it the error estimate says nothing."""
 
 
 class Options(NamedTuple):
@@ -34,19 +32,17 @@ class Options(NamedTuple):
 
 
 def check_numbers(**numbers: float) -> None:
-    """Refuse what is not above zero, not finite where it is a time to cover, or too large for a tolerance.
+    """Refuse what is not above zero, not finite where it is a time to cover, or no tolerance of a step.
 
     Raises:
         InputError: A number out of its range, or none.
     """
     for name, value in numbers.items():
+        if name == "rtol":
+            checked_rtol(value, LEAST_RTOL)
         number = real_number(name, value)
         if not number > 0.0 or (name in ("duration", "dt", "atol") and not math.isfinite(number)):
             raise InputError(f"{name}: {number!r} given, a number > 0 expected", value=value)
-        if name == "rtol" and number > LARGEST_RTOL:
-            raise InputError(
-                f"rtol: {number!r} given, a number up to {LARGEST_RTOL} expected", field=name, value=value
-            )
         if name == "max_impacts" and number != math.inf and number != int(number):
             raise InputError(
                 f"max_impacts: {number!r} given, a whole number expected", field=name, value=value

@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from numpy.typing import ArrayLike
 
-from ..checks import choice, function
+from ..checks import choice, function, in_short
 from ..errors import InputError, PinimpactError, SimulationError
 from ._kernels.tolerances import ATOL, DT, RTOL
 from .alternating import Alternating
@@ -52,7 +52,7 @@ def simulate(
             state of a trajectory is a valid start, except for "event-driven". (theory.md, 16)
         v0: (nv,) initial velocity.
         duration: Time to simulate [s].
-        rtol: Relative tolerance of each step.
+        rtol: Relative tolerance of each step, from 3e-14, which rounding allows, to 0.1.
         atol: Absolute tolerance of each step, on coordinates [m, rad] and velocities.
         max_step: Longest step [s]. None: with a continuous control a quarter of `Scene.time_scale`, so that a
             force that starts after a long rest is detected; else no bound.
@@ -64,7 +64,7 @@ def simulate(
             `dt`; tolerances do not apply. (theory.md, 16) "auto": event-driven, with time steps in intervals
             whose events cannot be located one by one; `Trajectory.stepped` lists them, with estimates of
             their error, and a `SteppedWarning` reports the first one.
-        dt: Length of the time steps [s]; with "auto" the longest one.
+        dt: Length of the time steps [s]; with "auto" the longest one. Not for "event-driven".
         sensitivities: What `Trajectory.sensitivity` differentiates by: "state" for the initial state, and
             "friction:CONTACT", "restitution:CONTACT" with names of contacts. A control that is a function
             needs an attribute ``jacobian``, a function of t, q and v that returns the derivative (nv, 2 nv)
@@ -104,6 +104,12 @@ def integrator_of(scheme: str, scene: Scene, q0: ArrayLike, v0: ArrayLike, optio
     """Return the integrator of a scheme; arguments and errors as of `simulate`."""
     choice("scheme", scheme, SCHEMES, "a scheme")
     if scheme == "event-driven":
+        if options.dt != DT:
+            raise InputError(
+                f'dt: {in_short(options.dt)} given, but scheme="event-driven" has no time steps; '
+                'use "time-stepping" or "auto", or leave dt out (max_step= bounds the steps)',
+                value=options.dt,
+            )
         integrator = Integrator(scene, q0, v0, options)
         if integrator.state.overlap is not None:
             raise InputError(
