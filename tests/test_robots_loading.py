@@ -130,6 +130,27 @@ def test_a_broken_file_is_named(tmp_path, text):
         pinimpact.load_robot(path)
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ("</robot>", "", "no element found: line 17"),
+        ('type="revolute"', 'type="hinge"', r"Joint \[hinge\] has no known type \[hinge\]"),
+        ('child link="arm"', 'child link="hand"', r"child link \[hand\] of joint \[hinge\] not found"),
+        (
+            'mass value="1"',
+            'mass value="${m}"',
+            r"value='\$\{m\}' given for the mass of link 'arm', a number",
+        ),
+        ('ixy="0"', 'ixy=""', "ixy='' given for the inertia of link 'arm'"),
+    ],
+)
+def test_why_a_file_cannot_be_read_is_said(urdf, right, wrong, said):
+    path = urdf()
+    path.write_text(path.read_text().replace(right, wrong))
+    with pytest.raises(pinimpact.ModelError, match=said):
+        pinimpact.load_robot(path)
+
+
 def test_a_robot_without_inertia_is_refused(urdf):
     with pytest.raises(pinimpact.ModelError, match="no inertia"):
         pinimpact.load_robot(urdf(inertial=""))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -164,10 +166,11 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
     try:
         model = pin.buildModelFromUrdf(str(path), *root_joint)
     except Exception as error:  # urdfdom and Pinocchio raise what they like
+        reason = _reason(path) or str(error).strip()
         raise ModelError(
-            f"robot: {path} is not a URDF file that Pinocchio can read: {str(error).strip()}", value=str(path)
+            f"robot: {path} is not a URDF file that Pinocchio can read: {reason}", value=str(path)
         ) from error
-    _check_masses(path)
+    _check_inertias(path)
     folders = [str(Path(folder).expanduser()) for folder in package_dirs]
     folders += [str(folder) for folder in path.resolve().parents[:4]]
     missing: dict[str, None] = {}
@@ -182,6 +185,17 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
             stacklevel=3,
         )
     return pin.RobotWrapper(model, *shapes)
+
+
+def _reason(path: Path) -> str:
+    """Return why a URDF file cannot be read: urdfdom writes it to the standard error only."""
+    try:
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        return str(error)
+    code = "import sys, pinocchio; pinocchio.buildModelFromUrdf(sys.argv[1])"
+    ran = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    return "; ".join(re.findall(r"^Error: +(.*)$", ran.stderr, re.MULTILINE))
 
 
 def _kind_of(path: Path) -> str:
@@ -203,15 +217,25 @@ def _no_sdf(what: str | Path) -> ModelError:
     )
 
 
-def _check_masses(path: Path) -> None:
+def _check_inertias(path: Path) -> None:
+    """Refuse negative masses, and what is not a number: urdfdom leaves out the inertia then."""
     for link in ElementTree.parse(path).getroot().iter("link"):
-        for mass in link.iterfind("inertial/mass"):
-            if float(mass.get("value", "0")) < 0.0:
-                raise ModelError(
-                    f"robot: {path}: the mass of link {link.get('name')!r} is negative "
-                    f"({mass.get('value')} kg); a mass is at least 0",
-                    value=str(path),
-                )
+        for element in (*link.iterfind("inertial/mass"), *link.iterfind("inertial/inertia")):
+            for key, text in element.items():
+                try:
+                    negative = float(text) < 0.0
+                except ValueError:
+                    raise ModelError(
+                        f"robot: {path}: {key}={text!r} given for the {element.tag} of link "
+                        f"{link.get('name')!r}, a number expected",
+                        value=str(path),
+                    ) from None
+                if element.tag == "mass" and negative:
+                    raise ModelError(
+                        f"robot: {path}: the mass of link {link.get('name')!r} is negative "
+                        f"({text} kg); a mass is at least 0",
+                        value=str(path),
+                    )
 
 
 # ---- shapes
