@@ -25,8 +25,8 @@ def box(size=(0.1, 0.2, 0.3)):
     return model
 
 
-def corners(friction, restitution):
-    return [Contact(f"corner {k}", Plane(), friction, restitution) for k in range(4)]
+def corners(friction, restitution, plane=None):
+    return [Contact(f"corner {k}", plane or Plane(), friction, restitution) for k in range(4)]
 
 
 def two_boxes(places, turns, restitution):
@@ -172,6 +172,55 @@ def test_a_box_at_rest_keeps_its_place():
     assert np.allclose(state[:, [0, 1, 5]], np.eye(12)[:, [0, 1, 5]], atol=1e-9)
     assert np.allclose(state[[0, 1, 5], [6, 7, 11]], 0.5 * h, atol=1e-9)  # half a step with the velocity
     assert np.allclose(state[6:], 0.0, atol=1e-9)
+
+
+def test_friction_that_just_holds_at_rest_has_no_derivative_by_what_it_opposes():
+    """Velocities at rest are none, so that what is slow has to be measured by what impulses take away."""
+    model = box()
+    q = pin.neutral(model)
+    q[:3] = 0.15 * np.array([0.2, 0.0, 1.0]) / np.hypot(0.2, 1.0)
+    q[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, np.arctan(0.2), 0.0]))).coeffs()
+    scene = Scene(model, corners(0.2, 0.0, Plane(normal=(0.2, 0.0, 1.0))))
+    run = simulate(scene, q, np.zeros(6), 0.02, scheme="time-stepping", sensitivities="state")
+    found = run.sensitivity(0.02)
+    assert np.isnan(found.state[:, 6]).all()
+    assert np.isfinite(found.state[:, [0, 1]]).all()
+    assert Boundary.EVENTS_COINCIDE in found.boundary
+    mass = pin.Model()
+    joint = mass.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
+    mass.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    mass.friction[:] = 9.81
+    run = simulate(Scene(mass), [0.0], [0.0], 0.02, scheme="time-stepping", sensitivities="state")
+    assert np.isnan(run.sensitivity(0.02).state[0, 1])
+
+
+@pytest.mark.parametrize("e", [0.0, 0.4])
+def test_what_lands_without_restitution_has_no_derivative_by_it(e):
+    """It has no impact then, but one for any e > 0: the place of the box is off by what a step lasts."""
+    model = box()
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.2, 0.3, 0.2, 0.1]))
+    contacts, v = corners(0.3, e), np.array([0.5, 0.2, -0.5, 0.2, 0.1, 0.3])
+    names = [f"restitution:corner {k} on plane" for k in range(4)]
+    names = {"sensitivities": ("state", *names)}
+    run = simulate(Scene(model, contacts), q, v, 0.08, scheme="time-stepping", **names)
+    found = run.sensitivity(0.08)
+    by_e = np.array(list(found.parameters.values()))
+    assert np.isnan(by_e[2]).all() if e == 0.0 else np.abs(by_e[2]).max() > 0.1
+    assert (by_e[[0, 1, 3]] == 0.0).all()
+    assert np.isfinite(found.state).all()
+    assert (Boundary.JUMP in found.boundary) == (e == 0.0)
+
+
+def test_a_box_that_slides_with_a_corner_without_load():
+    """Its load is zero in all iterations but the first, whatever is as near to it."""
+    model, q = box(), pin.neutral(box())
+    q[2] = 0.15
+    run, found = agrees(
+        *(Scene(model, corners(0.3, 0.0)), q, np.array([0.6, 0.3, 0, 0, 0, 1.0]), 0.05),
+        **{"columns": FLAT, "step": 1e-5, "tolerance": 1e-5},
+    )
+    assert np.isfinite(found.state[:, FLAT]).all()
+    assert min(interval.end for interval in run.modes) == 0.05
 
 
 def test_a_box_that_turns_on_its_face_while_it_slides():

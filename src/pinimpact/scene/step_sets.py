@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .._numeric.tolerances import LITTLE, RANK, ROUNDING, SETTLED, SOFTEST, TINY
-from ..arrays import Array, Integers
+from ..arrays import Array, Bools, Integers
 from ._kernels.step_rows import StepRows
 from .step_taken import StepTaken
 
 TIED = 1e3 * SETTLED
-"""Part of a bound of friction, of the largest velocity or of a change below which a step is at a tie: a
-thousand times what the contact problem leaves."""
+"""Part of a bound of friction, of the largest velocity or of a change that is none: a thousand times what the
+contact problem leaves."""
 
 
 SETTLING = 3
@@ -32,6 +32,7 @@ class Iteration(NamedTuple):
         bent: (rows,) ∂P u/r.
         by_friction: (rows,) ∂P/∂μ, each of its own contact.
         by_length: (rows,) rates of what is at the bound of dry friction [N or N m].
+        tied: Whether ∂P is at a kink in any row.
     """
 
     impulse: Array
@@ -41,6 +42,7 @@ class Iteration(NamedTuple):
     bent: Array
     by_friction: Array
     by_length: Array
+    tied: bool
 
 
 class StepLaw:
@@ -53,8 +55,6 @@ class StepLaw:
         closes: (rows,) whether rows along normals close the gap at the midpoint.
         targets: (rows,) the speeds at which they do [m/s].
         pinned: (m,) rows of those that press and touch there already.
-        tied: (rows,) where something is at a tie: normals that do not press, the first rows of contacts whose
-            friction is at its bound without slip, dry friction likewise.
         sticks, slips: (nc,) contacts that press.
         limits: (nl,) limits that do.
     """
@@ -74,22 +74,17 @@ class StepLaw:
         self.targets = np.where(self.closes, gaps / taken.h, 0.0)
         impulse = found.impulse
         self._rounding = rounding = ROUNDING * np.abs(impulse).max(initial=0.0)
-        still = TIED * max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end))
+        without = self.jacobian @ (found.predicted - taken.h * taken.pushed)  # impulses; nothing else at rest
+        self._speed = max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end, without))
         presses = impulse > rounding
         touches = presses & self.closes & (gaps <= taken.touching)
         self.pinned = rows.normals[touches[rows.normals]]
-        self.tied = np.zeros(n, dtype=bool)
-        free = rows.normals[~found.arrives & ~presses[rows.normals]]
-        self.tied[free] = (found.u_end + self.targets)[free] <= still
         pushed, speed = (np.hypot(*one[: 3 * nc].reshape(-1, 3).T[:2]) for one in (impulse, found.u_end))
         closed, radius = presses[2 : 3 * nc : 3], self._friction * impulse[2 : 3 * nc : 3]
         bound = closed & (pushed >= (1.0 - TIED) * radius)
-        self.tied[: 3 * nc : 3] = bound & (radius > 0.0) & (speed <= still)
-        self.slips = bound & ~self.tied[: 3 * nc : 3]
+        self.slips = bound & ((radius == 0.0) | (speed > TIED * self._speed))
         self.sticks = closed & ~self.slips
         self.limits = presses[3 * every : self._first]
-        at_bound = np.abs(impulse[self._first :]) >= (1.0 - TIED) * self._bounds
-        self.tied[self._first :] = at_bound & (np.abs(found.u_end[self._first :]) <= still)
 
     def pushes(self) -> Array:
         """Return the generalized forces (m, nv) of impulses along the pinned rows, with their friction."""
@@ -143,7 +138,7 @@ class StepLaw:
         return given, before[: len(given)], after
 
     def iterations(self, response: Array, largest: Integers, otherwise: bool) -> Iterator[Iteration]:
-        """Yield the iterations, with ties decided one way, or otherwise; see `largest`."""
+        """Yield the iterations, with ties decided as they have, or otherwise; see `largest`."""
         found, now = self._taken.found, np.zeros(len(self.jacobian))
         dry = np.arange(len(now)) >= self._first
         for r, before, after in zip(*self._course(response, largest), strict=True):
@@ -152,35 +147,43 @@ class StepLaw:
             shift = response @ (now - found.impulse)
             u = found.u_end + self.targets + self.jacobian @ shift
             rate = np.divide(1.0, r, out=np.zeros_like(r), where=runs)
-            slopes, by_friction = self._slopes(before - u * rate, now, otherwise)
+            near = SETTLED * self._speed * rate
+            slopes, by_friction, tied = self._slopes(before - u * rate, now, near, otherwise)
             kept, stiff = np.where(runs[:, None], slopes, np.eye(len(now))), slopes * rate
             bound = dry & runs & (slopes.diagonal() == 0.0)
             by_length = np.where(bound, now / self._taken.h, 0.0)
-            yield Iteration(now, shift, kept, stiff, stiff @ u, np.where(runs, by_friction, 0.0), by_length)
+            changes = kept, stiff, stiff @ u, np.where(runs, by_friction, 0.0), by_length
+            yield Iteration(now, shift, *changes, bool(tied[runs].any()))
 
-    def _slopes(self, z: Array, impulse: Array, otherwise: bool) -> tuple[Array, Array]:
-        """Return ∂P (rows, rows) at z where P is `impulse`, and its derivative (rows,) by friction. (16.4)"""
-        nc, tied = len(self._friction), self.tied & otherwise
-        out, by_friction = np.zeros((len(z), len(z))), np.zeros(len(z))
+    def _slopes(self, z: Array, impulse: Array, near: Array, otherwise: bool) -> tuple[Array, Array, Bools]:
+        """Return ∂P (rows, rows) at z where P is `impulse`, its derivative (rows,) by friction, ties. (16.4)
+
+        Ties (rows,) are where z is as `near` to a kink.
+        """
+        nc, every = len(self._friction), len(self._taken.rows.surface)
+        out, by_friction, tied = np.zeros((len(z), len(z))), np.zeros(len(z)), np.abs(z) <= near
+        tied[: 3 * every] &= np.arange(3 * every) % 3 == 2
+        tied[3 * nc : 3 * every] = False
+        bounds = np.abs(z[self._first :]) - self._bounds
+        tied[self._first :] = np.abs(bounds) <= near[self._first :]
         for k, mu in enumerate(self._friction.tolist()):
             t, n = slice(3 * k, 3 * k + 2), 3 * k + 2
-            if not (impulse[n] > 0.0 or tied[n]):
+            if not (impulse[n] > 0.0) ^ (tied[n] & otherwise):
                 continue
             out[n, n] = 1.0
-            size, pushed = np.hypot(*z[t]), np.hypot(*impulse[t])
-            if tied[3 * k] or (pushed < (1.0 - ROUNDING) * mu * impulse[n]):
+            size, pushed, radius = np.hypot(*z[t]), np.hypot(*impulse[t]), mu * impulse[n]
+            tied[3 * k] = radius > 0.0 and abs(size - radius) <= near[n]
+            if (pushed < (1.0 - ROUNDING) * radius) ^ (tied[3 * k] & otherwise):
                 out[t, t] = np.eye(2)
                 continue
             along = z[t] / max(size, TINY)
             out[t, t] = pushed / max(size, pushed, TINY) * (np.eye(2) - np.outer(along, along))
             out[t, n], by_friction[t] = mu * along, impulse[n] * along
-        scalar, limits = np.arange(3 * nc, len(z)), slice(3 * len(self._taken.rows.surface), self._first)
-        acts = np.ones(len(z), dtype=bool)  # what is held
-        acts[limits] = (impulse > 0.0)[limits] | tied[limits]
+        scalar, acts = np.arange(3 * nc, len(z)), np.ones(len(z), dtype=bool)  # what is held
+        acts[3 * every :] = (impulse > 0.0)[3 * every :]
         acts[self._first :] = np.abs(impulse[self._first :]) < (1.0 - ROUNDING) * self._bounds
-        acts[self._first :] |= tied[self._first :]
-        out[scalar, scalar] = acts[scalar]
-        return out, by_friction
+        out[scalar, scalar] = (acts ^ (tied & otherwise))[scalar]
+        return out, by_friction, tied
 
 
 def dense(rows: StepRows, nv: int) -> Array:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import TINY
+from .._numeric.tolerances import COMPUTED, ROUNDING, STALLED, TINY
 from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
 from ..robot.derivatives import check_joints
@@ -24,7 +24,7 @@ from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
 from .row_bends import row_bends
 from .scene import Scene
-from .step_sets import TIED, StepLaw, dense, limit_of_compliances
+from .step_sets import StepLaw, dense, limit_of_compliances
 from .step_taken import StepTaken
 
 
@@ -58,6 +58,7 @@ class _Moved(NamedTuple):
         u_start, u_end: (rows, n) of the velocities of the rows.
         length: (n,) of the length of the step [s].
         rows: The rows.
+        tied: Whether anything is at a tie.
     """
 
     middle: Array
@@ -67,6 +68,7 @@ class _Moved(NamedTuple):
     u_end: Array
     length: Array
     rows: _Rows
+    tied: bool
 
 
 class StepSlopes:
@@ -94,7 +96,11 @@ class StepSlopes:
         self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
         # what has a friction of its own in sustained contact does not depend on that of impacts
         own = [contact.sliding_friction is not None for contact in dynamics.contacts]
-        self._parameters = tuple(None if own[p.contact] else p for p in parameters)
+        alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in dynamics.contacts]
+        self._alike = np.array(alike, dtype=bool)
+        friction = [p.kind == "friction" and not own[p.contact] for p in parameters]
+        self._friction = [p.contact if one else -1 for one, p in zip(friction, parameters, strict=True)]
+        self._impacts = [-1 if one else p.contact for one, p in zip(friction, parameters, strict=True)]
         self.boundary = Boundary.NONE
         self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
         self._carried = np.zeros(model.nv, dtype=bool)
@@ -150,7 +156,6 @@ class StepSlopes:
             return np.vstack([self._within(x, moved, step, part, shift), moved.pushed, reached])
         result = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
         result[:nv] = self._removed(result[:nv], taken)
-        result[nv:][taken.stopped] = 0.0
         return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
 
     def at(self, x: Array, step: DenseStep, t: float, force: Array) -> Array:
@@ -221,17 +226,39 @@ class StepSlopes:
         given = rows, (total, softer), (middle, known, length)
         moved = self._solve(taken, False, *given)
         self._refuse_ties(taken, moved, given)
+        self._refuse_landings(taken, moved, first)
         return moved
+
+    def _refuse_landings(self, taken: StepTaken, moved: _Moved, own: Array) -> None:
+        """Set changes by what only impacts have, as e, to NaN where something lands without one at e = 0.
+
+        Its own change of the velocity (nv,) in a step, without impulses, is less than half of the approach.
+        """
+        contacts, found = taken.rows.contacts, taken.found
+        normals = np.s_[2 : 3 * len(contacts) : 3]
+        slow = np.maximum(2.0 * np.abs(moved.rows.jacobian @ own), self._work.resting_speed)
+        lands = (found.u_start < -slow)[normals] & self._alike[contacts]
+        closes = (found.gap_end[: len(contacts)] < 0.0) & (len(taken.arriving) == 0)
+        lands &= closes | (found.impulse[normals] > 0.0)
+        columns = np.isin(self._impacts, contacts[lands])
+        if columns.any():
+            self.boundary |= Boundary.JUMP
+            moved.v_end[:, moved.v_end.shape[1] - len(columns) + np.flatnonzero(columns)] = np.nan
 
     def _refuse_ties(self, taken: StepTaken, moved: _Moved, given: tuple[Any, ...]) -> None:
         """Set changes of the velocity to NaN on which a tie makes a difference."""
         rows, v_end, law = moved.rows, moved.v_end, self._law(taken)
-        largest = np.nanmax(np.abs(np.concatenate([moved.middle, v_end])), initial=0.0)
+        largest = np.abs(np.concatenate([moved.middle, moved.u_start, v_end])).max(axis=0)
+        least = np.nanmax(largest, initial=ROUNDING)
+        if self._friction:  # by coefficients, of which the impulses are
+            pushed = taken.found.v_end - taken.found.predicted + taken.h * taken.pushed
+            largest[-len(self._friction) :] += np.abs(pushed).max()
         sizes = np.abs(rows.jacobian[law.pinned]).sum(axis=1)
-        tied = (np.abs(rows.gaps[law.pinned]) > STEPS_DRIFT * largest * sizes[:, None]).any(axis=0)
-        if law.tied.any():
+        tied = (np.abs(rows.gaps[law.pinned]) > STEPS_DRIFT * least * sizes[:, None]).any(axis=0)
+        if moved.tied:
             other = self._solve(taken, True, *given)
-            tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)
+            tied |= (np.abs(v_end - other.v_end) > STALLED * largest + COMPUTED * least).any(axis=0)
+        v_end[taken.stopped] = 0.0
         if tied.any():
             self.boundary |= Boundary.EVENTS_COINCIDE
             v_end[:, tied] = np.nan
@@ -246,7 +273,7 @@ class StepSlopes:
     ) -> _Moved:
         """Return the changes over a step, from those of the forces at given velocities and impulses. (D40)
 
-        Ties are decided one way, or otherwise.
+        Ties are decided as the step has, or otherwise.
         """
         (total, softer), (middle, known, length) = matrices, changes
         jacobian, found, h, law = rows.jacobian, taken.found, taken.h, self._law(taken)
@@ -256,11 +283,11 @@ class StepSlopes:
         closing = rows.end + np.where(law.closes, 1.0 / h, 0.0)[:, None] * rows.gaps
         closing -= np.outer(law.targets / h, length)
         impulses, forces, by_friction = np.zeros_like(rows.end), np.zeros_like(known), np.zeros_like(rows.end)
-        for column, parameter in enumerate(self._parameters, known.shape[1] - len(self._parameters)):
-            if parameter is not None and parameter.kind == "friction":
-                of = taken.rows.contacts == parameter.contact
-                by_friction[: 3 * len(of), column] = np.repeat(of, 3)
+        for column, contact in enumerate(self._friction, known.shape[1] - len(self._friction)):
+            of = taken.rows.contacts == contact
+            by_friction[: 3 * len(of), column] = np.repeat(of, 3)
         v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
+        tied = False
         for one in law.iterations(response, largest, otherwise):
             own = one.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
             forces, moving = rows.slopes.forces(own[:, 0]) @ middle, closing
@@ -276,12 +303,12 @@ class StepSlopes:
             matrix = total + jacobian.T @ one.stiff @ jacobian
             v_end = np.asarray(np.linalg.solve(matrix, known + pushed + jacobian.T @ impulses), dtype=float)
             impulses -= one.stiff @ (jacobian @ v_end)
-        v_end[taken.stopped] = 0.0
+            tied |= one.tied
         u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
         after = forces + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
         after -= np.outer(softer * change, length)
         mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
-        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows)
+        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, tied)
 
     def _softened(
         self,
