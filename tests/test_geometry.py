@@ -98,6 +98,10 @@ def test_an_impact_takes_the_tips_that_touch(down, touching):
     expected = pinimpact.impact(robot.model, robot.data, q, v, lowest)
     assert np.allclose(hit.v, expected.v, rtol=0.0, atol=1e-12)
     assert isinstance(hit, pinimpact.Hit) == (touching == 1)
+    wall = Contact("thing", Plane(normal=(0.0, -1.0, 0.0)), friction=0.4, law="energetic")
+    listed = pinimpact.impact(robot, robot.data, q, v, [contact, wall])
+    expected = pinimpact.impact(robot.model, robot.data, q, v, [*corners[:touching], wall])
+    assert np.allclose(listed.v, expected.v, rtol=0.0, atol=1e-12)
     assert contact.gap(robot, robot.data, q) == pytest.approx(corners[0].gap(robot, robot.data, q), abs=1e-15)
 
 
@@ -422,7 +426,7 @@ def test_bad_input_is_refused():
     ):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
     ball = Contact(geometry="thing_0", plane=Sphere(radius=1.0))
-    with pytest.raises(InputError, match=re.escape("impact() takes it alone, and a Scene together with")):
+    with pytest.raises(InputError, match=re.escape("impact() and scenes take it")):
         pinimpact.place_in_contact(robot, robot.data, pin.neutral(robot.model), ball)
     with pytest.raises(InputError, match="is a contact of a collision shape, which has no single point"):
         pinimpact.contact_matrices(

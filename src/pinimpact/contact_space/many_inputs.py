@@ -117,15 +117,10 @@ def solution_of(
 
 
 def notes_on_law(inputs: ManyInputs) -> tuple[str, ...]:
-    """Tell where another law than the one asked for is used."""
-    if inputs.law == "energetic" or not inputs.restitution.any():
+    """Note that another law is used than one that has been chosen: "poisson" is the default."""
+    if inputs.law in ("energetic", "poisson") or not inputs.restitution.any():
         return ()
-    return (
-        (
-            f"The energetic law is used: {inputs.law!r} does not define how impulses propagate between "
-            "contacts."
-        ),
-    )
+    return (f"The law {inputs.law!r} is for one contact; several at once follow the energetic law.",)
 
 
 def refuse(inputs: ManyInputs) -> None:

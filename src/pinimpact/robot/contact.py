@@ -280,9 +280,9 @@ def check_contact(field: str, value: Any) -> None:
     if not isinstance(value, Contact):
         raise InputError(f"{field}: {in_short(value)} is not a Contact", value=value)
     if value.geometry is not None:
-        instead = "give one of its contact.tips(robot)"
+        instead = "give those of its contact.tips(robot) that touch"
         if not isinstance(value.plane, Plane):  # where shapes touch depends on the configuration
-            instead = "impact() takes it alone, and a Scene together with others"
+            instead = "impact() and scenes take it"
         raise InputError(
             f"{field}: {value.label!r} is a contact of a collision shape, which has no single point here; "
             f"{instead}",

@@ -286,7 +286,8 @@ def _general_impact(
 ) -> Hit | ManyHit:
     """Compute the impact at several contacts, at what a collision shape touches, or with other options."""
     if isinstance(contact, Sequence) and not isinstance(contact, str):
-        return impact_at_many(model, data, q, v, contact, asked)
+        points = [point for one in contact for point in _points(robot, data, q, one)]
+        return impact_at_many(model, data, q, v, points, asked)
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     if contact.geometry is None:
@@ -294,11 +295,18 @@ def _general_impact(
             check_rims(PlacedRobot(model, data, q), (contact,))
         held_at_rest(model, data, q, v, contact, asked.held)
         return impact_in_steps(model, data, q, v, contact, asked)
-    nearest = touching_points if is_pair(robot, contact) else touching_tips
-    tips = nearest(robot, data, q, contact)
+    tips = _points(robot, data, q, contact)
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
     one_or_many: Any = tips[0] if len(tips) == 1 else tips
     return impact(robot, data, q, v, one_or_many, *asked[:-1], **asked.more)
+
+
+def _points(robot: Any, data: pin.Data, q: ArrayLike, contact: Any) -> list[Contact]:
+    """Return the points at which a collision shape touches; anything else by itself."""
+    if not isinstance(contact, Contact) or contact.geometry is None:
+        return [contact]
+    nearest = touching_points if is_pair(robot, contact) else touching_tips
+    return nearest(robot, data, q, contact)
 
 
 def impact_by_pinocchio(
