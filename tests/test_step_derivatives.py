@@ -412,7 +412,7 @@ def test_two_gaps_that_close_at_once_have_no_derivative():
 @pytest.mark.parametrize(
     ("turn", "dt", "duration", "speed"),
     [
-        ([0.43, 0.034, 0.0], 4e-3, 0.184, 1.1),
+        ([0.435, 0.034, 0.0], 4e-3, 0.186, 1.1),
         ([0.107, -0.31, 0.0], 4e-3, 0.08, 0.6),
         ([0.42, 0.034, 0.0], 4e-3, 0.18, 1.1),
     ],

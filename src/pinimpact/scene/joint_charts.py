@@ -7,8 +7,7 @@ import pinocchio as pin
 
 from ..arrays import Array, Integers
 from ..errors import ModelError
-from ._kernels.lie_charts import CIRCLE, PLANAR, RIGID, ROTATION, VECTOR
-from ._kernels.tolerances import STEPS_TURN
+from ._kernels.lie_charts import CIRCLE, PLANAR, RIGID, ROTATION, VECTOR, advance, turn_axes
 
 
 def joint_table(model: pin.Model) -> Integers:
@@ -62,12 +61,31 @@ def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
     return rates
 
 
-def turns_far(charts: Integers, v: Array, h: float) -> bool:
-    """Return whether what turns the axes of its own linear velocity, a free body, turns far in a step."""
-    fastest = 0.0
-    for kind, _, j, _ in charts.tolist():
+def midpoint(table: Integers, q: Array, v: Array, h: float) -> tuple[Array, Array]:
+    """Return where a state is after half a step h with v, and v in the axes that free bodies have there."""
+    middle, turned, way = np.empty(len(q)), np.empty(len(v)), 0.5 * h * v
+    advance(table, q, way, middle)
+    turn_axes(table, way, v, turned)
+    return middle, turned
+
+
+def turning(frames: list[list[int]], v: Array) -> tuple[Array, Array]:
+    """Return ω × v (nv,) of free bodies, see `add_turning`, and its derivative by v (nv, nv).
+
+    Args:
+        frames: Rows of the table: free bodies, in space or in the plane.
+        v: (nv,) velocity.
+    """
+    turned, by_v = np.zeros(len(v)), np.zeros((len(v), len(v)))
+    for kind, _, j, _ in frames:
         if kind == RIGID:
-            fastest = max(fastest, float(np.linalg.norm(v[j + 3 : j + 6])))
-        elif kind == PLANAR:
-            fastest = max(fastest, abs(float(v[j + 2])))
-    return h * fastest > STEPS_TURN
+            axes, a = slice(j, j + 3), slice(j + 3, j + 6)
+            across = pin.skew(v[a])
+            by_v[axes, a] = -pin.skew(v[axes])
+        else:
+            axes, a = slice(j, j + 2), slice(j + 2, j + 3)
+            across = np.array([[0.0, -v[j + 2]], [v[j + 2], 0.0]])
+            by_v[axes, a] = [[-v[j + 1]], [v[j]]]
+        by_v[axes, axes] = across
+        turned[axes] = across @ v[axes]
+    return turned, by_v

@@ -79,6 +79,23 @@ def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: 
     return found
 
 
+def less_turning(found: RowBends, slopes: RowSlopes, still: Array, by_v: Array) -> RowBends:
+    """Return bends along velocities of free bodies in axes that stand still: without J (ω × v).
+
+    Args:
+        found: Bends along constant v.
+        slopes: Slopes of the rows.
+        still: (nv,) ω × v.
+        by_v: (nv, nv) its derivative.
+    """
+    if not slopes.rows or not by_v.any():
+        return found
+    motions = slopes.tree.motions(still)
+    jacobian = np.array([row.axes @ row.jacobian for row in slopes.rows])
+    by_q = np.array([row.slopes(motions) for row in slopes.rows])
+    return RowBends(found.bends - jacobian @ still, found.by_q - by_q, found.by_v - jacobian @ by_v)
+
+
 def _along(t: float, rows: list[ContactRow], motions: Array, slopes: RowSlopes, v: Array) -> _Along:
     """Return velocities v of the contacts at the configuration of some rows, a time t after the midpoint."""
     axes, jacobian = (np.array([getattr(row, name) for row in rows]) for name in ("axes", "jacobian"))

@@ -22,7 +22,8 @@ from .control_slopes import change_of_forces
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
-from .row_bends import row_bends
+from .joint_charts import turning
+from .row_bends import less_turning, row_bends
 from .scene import Scene
 from .step_sets import StepLaw, dense, limit_of_compliances
 from .step_taken import StepTaken
@@ -127,17 +128,45 @@ class StepSlopes:
         pushed[:nv, : len(kept)] = inverse @ law.jacobian[kept].T
         pushed[nv:, len(kept) :] = inverse @ law.pushes().T
         every = np.hstack([x[: 2 * nv], pushed])
-        middle = self._middle(step, every[:nv], every[nv:], np.zeros(every.shape[1]))
-        rows = self._rows(taken, step.v, (middle, every[nv:], np.zeros(every.shape[1])))
+        rows = self._rows(taken, self._middle(step, every, np.zeros(every.shape[1])))
         missed = np.vstack([rows.gaps[kept], rows.start[kept]])
         soft = np.tile(law.softness(), 2)
         x[: 2 * nv] -= pushed @ limit_of_compliances(missed[:, n:], missed[:, :n], soft)
         return x
 
-    def _middle(self, step: DenseStep, by_q: Array, by_v: Array, length: Array) -> Array:
-        """Return changes (nv, n) of the configuration at the midpoint of a step."""
-        turn, push = pin.dIntegrate(self._model, step.q, 0.5 * step.h * step.v)
-        return np.asarray(turn @ by_q + push @ (0.5 * step.h * by_v + 0.5 * np.outer(step.v, length)))
+    def _middle(self, step: DenseStep, x: Array, length: Array) -> tuple[Array, Array, Array]:
+        """Return changes (nv, n) of the configuration and the velocity at the midpoint, and of the length."""
+        nv, way = len(step.v), 0.5 * step.h * step.v
+        by_v = x[nv : 2 * nv]
+        by_way = 0.5 * step.h * by_v + 0.5 * np.outer(step.v, length)
+        by_q = self._advanced(step.q, way, x[:nv], by_way)
+        return by_q, self._turned(way, step.v, by_way, by_v)[1], length
+
+    def _advanced(self, q: Array, xi: Array, by_q: Array, by_xi: Array) -> Array:
+        """Return changes (nv, n) of q ⊕ ξ in the charts of a step: positions move first, then bodies turn."""
+        for moves in (self._carried, ~self._carried):
+            part = np.where(moves, xi, 0.0)
+            turn, push = pin.dIntegrate(self._model, q, part)
+            by_q, q = turn @ by_q + push[:, moves] @ by_xi[moves], pin.integrate(self._model, q, part)
+        return np.asarray(by_q)
+
+    def _turned(self, turn: Array, v: Array, by_turn: Array, by_v: Array) -> tuple[Array, Array]:
+        """Return a velocity with that of free bodies in axes that have turned, and its changes (nv, n)."""
+        v, by_v = v.copy(), by_v.copy()
+        for kind, _, j, _ in self._frames:
+            if kind == RIGID:
+                axes, a = slice(j, j + 3), slice(j + 3, j + 6)
+                rotation = pin.exp3(turn[a]).T
+                v[axes] = rotation @ v[axes]
+                bent = pin.skew(v[axes]) @ pin.Jexp3(turn[a])
+            else:
+                axes, a = slice(j, j + 2), slice(j + 2, j + 3)
+                c, s = np.cos(turn[j + 2]), np.sin(turn[j + 2])
+                rotation = np.array([[c, s], [-s, c]])
+                v[axes] = rotation @ v[axes]
+                bent = np.array([[v[j + 1]], [-v[j]]])
+            by_v[axes] = rotation @ by_v[axes] + bent @ by_turn[a]
+        return v, by_v
 
     def through(self, x: Array, step: DenseStep, force: Array) -> Array:
         """Return how changes x (3 nv + 1, n) before a step are after it, or at what touches in it.
@@ -189,22 +218,24 @@ class StepSlopes:
 
     def _differentiate(self, x: Array, step: DenseStep, force: Array) -> _Moved:
         """Return the changes over a step; NaN where a tie makes a difference. (D37)"""
-        taken, nv, h, v = _taken(step), len(step.v), step.h, step.v
-        found, softened, q = taken.found, taken.softened, taken.middle
-        by_q, by_v, by_pushed, length = x[:nv], x[nv : 2 * nv], x[2 * nv : 3 * nv], -x[3 * nv]
-        middle = self._middle(step, by_q, by_v, length)
+        taken, nv, h = _taken(step), len(step.v), step.h
+        found, softened, q, v = taken.found, taken.softened, taken.middle, taken.v
+        by_pushed, length = x[2 * nv : 3 * nv], -x[3 * nv]
+        at_middle = middle, by_v, _ = self._middle(step, x, length)
         work, follows = self._work, taken.follows  # the drives that follow their laws
         stiffness = np.where(follows, work.drive_stiffness, 0.0)
         damping = work.damping + np.where(follows, work.drive_damping, 0.0)
         softer = 0.5 * damping + 0.5 * h * stiffness  # how what softens changes with h
-        total = self._mass(q) + np.diag(softened)
-        rows = self._rows(taken, v, (middle, by_v, length))
+        mass = self._mass(q)
+        total = mass + np.diag(softened)
+        rows = self._rows(taken, at_middle)
         pushes = rows.jacobian.T @ found.impulse
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
             """Return h δf − δM times a change of the velocity, for forces f at a mean velocity."""
-            slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h)
-            by_state = slopes[0] @ middle + stiffness[:, None] * middle
+            still, by_still = turning(self._frames, mean)
+            slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h - still)
+            by_state = slopes[0] @ middle + stiffness[:, None] * middle - mass @ (by_still @ by_mean)
             by_state += slopes[1] @ by_mean + damping[:, None] * by_mean
             if self._controlled is not None:
                 moved = np.vstack([middle, by_mean, -0.5 * length])
@@ -331,21 +362,19 @@ class StepSlopes:
             out[largest == top] = turned / max(rows.jacobian[top] @ y, TINY)
         return out
 
-    def _rows(self, taken: StepTaken, v: Array, moved: tuple[Array, Array, Array]) -> _Rows:
-        """Return the rows of a step, which starts with v (nv,), with their changes.
-
-        `moved` has the changes of the configuration at its midpoint, of v and of its length, (…, n).
-        """
-        maps, every = self._maps(taken, v), np.vstack([moved[0], moved[1], moved[2][None]])
+    def _rows(self, taken: StepTaken, moved: tuple[Array, Array, Array]) -> _Rows:
+        """Return the rows of a step with their changes; `moved` has what `_middle` returns."""
+        maps, every = self._maps(taken), np.vstack([moved[0], moved[1], moved[2][None]])
         if maps.slopes.features_meet:
             self.boundary |= Boundary.FEATURES_MEET
         return maps._replace(start=maps.start @ every, end=maps.end @ every, gaps=maps.gaps @ every)
 
-    def _maps(self, taken: StepTaken, v: Array) -> _Rows:
+    def _maps(self, taken: StepTaken) -> _Rows:
         """Return the same by the configuration, by v and by the length, so that n = 2nv + 1."""
         if self._known is not None and self._known[0] is taken:
             return self._known[1]
-        nv, h = len(v), taken.h
+        v, h = taken.v, taken.h
+        nv = len(v)
         jacobian = dense(taken.rows, nv)
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, *taken.near, self._spare)
@@ -358,6 +387,7 @@ class StepSlopes:
                 out[3 * k : 3 * k + 3, :nv] = turns[k] @ row.slopes(motions, True)
         if taken.found.bent[0]:
             bends = row_bends(self._model, self._aside, h, slopes, taken.middle, v)
+            bends = less_turning(bends, slopes, *turning(self._frames, v))
             every = np.concatenate(
                 [0.5 * h * bends.by_q, 0.5 * h * bends.by_v, 0.5 * bends.bends[:, :, None]], 2
             )
@@ -387,41 +417,18 @@ class StepSlopes:
 
     def _within(self, x: Array, moved: _Moved, step: DenseStep, part: float, shift: Array) -> Array:
         """Return changes (2 nv, n) after a part of a step, which changes by `shift` (n,). (D34)"""
-        model, nv, h = self._model, len(step.v), step.h
-        by_v, v, v_end = x[nv : 2 * nv], step.v, _taken(step).found.v_end
-        mean, by_mean = 0.5 * (v + v_end), 0.5 * (by_v + moved.v_end)
-        by_turn = 0.5 * h * by_mean + 0.5 * np.outer(mean, moved.length)
-        rate, by_rate = self._rate(0.5 * h * mean, by_turn, mean, by_mean)
-        bend = 0.5 * part * (1.0 - part)
-        change, by_change = v_end - v, moved.v_end - by_v
-        xi = part * h * rate - bend * h * change
-        by_xi = part * h * by_rate - bend * h * by_change
-        by_xi += np.outer(part * rate - bend * change, moved.length)
-        by_xi += np.outer(h * rate - (0.5 - part) * h * change, shift)
-        # the position first, then the turn
-        turn, push = pin.dIntegrate(model, step.q, np.where(self._carried, xi, 0.0))
-        by_q = turn @ x[:nv] + push[:, self._carried] @ by_xi[self._carried]
-        between = pin.integrate(model, step.q, np.where(self._carried, xi, 0.0))
-        turn, push = pin.dIntegrate(model, between, np.where(self._carried, 0.0, xi))
-        by_q = turn @ by_q + push[:, ~self._carried] @ by_xi[~self._carried]
-        return np.vstack([by_q, by_v + part * by_change + np.outer(change, shift)])
-
-    def _rate(self, turn: Array, by_turn: Array, v: Array, by_v: Array) -> tuple[Array, Array]:
-        """Return ξ̇ (nv,) of the charts of a step for a velocity v parallel to the turn, and its changes."""
-        rate, by_rate = v.copy(), by_v.copy()
-        for kind, _, j, _ in self._frames:
-            axes, a = (slice(j, j + 3), slice(j + 3, j + 6)) if kind == RIGID else (slice(j, j + 2), j + 2)
-            if kind == RIGID:
-                rotation, bent = pin.exp3(turn[a]), pin.Jexp3(turn[a])
-                by_angle = -rotation @ pin.skew(v[axes]) @ bent
-                by_rate[axes] = rotation @ by_v[axes] + by_angle @ by_turn[a]
-            else:
-                c, s = np.cos(turn[a]), np.sin(turn[a])
-                rotation = np.array([[c, -s], [s, c]])
-                by_rate[axes] = rotation @ by_v[axes]
-                by_rate[axes] += np.outer(rotation @ np.array([-v[j + 1], v[j]]), by_turn[a])
-            rate[axes] = rotation @ v[axes]
-        return rate, by_rate
+        nv, h, v, by_v, length = len(step.v), step.h, step.v, x[len(step.v) : 2 * len(step.v)], moved.length
+        back, by_back = -0.5 * h * v, -0.5 * h * by_v - 0.5 * np.outer(v, length)
+        last, by_last = self._turned(back, _taken(step).found.v_end, by_back, moved.v_end)
+        mean, change, bend = 0.5 * (v + last), last - v, 0.5 * part * (1.0 - part)
+        by_mean, by_change = 0.5 * (by_v + by_last), by_last - by_v
+        xi = part * h * mean - bend * h * change
+        by_xi = part * h * by_mean - bend * h * by_change
+        by_xi += np.outer(part * mean - bend * change, length)
+        by_xi += np.outer(h * mean - (0.5 - part) * h * change, shift)
+        reached = by_v + part * by_change + np.outer(change, shift)
+        by_q = self._advanced(step.q, xi, x[:nv], by_xi)
+        return np.vstack([by_q, self._turned(xi, v + part * change, by_xi, reached)[1]])
 
     def _removed(self, by_q: Array, taken: StepTaken) -> Array:
         """Return changes of q (nv, n) at the end of a step after overlap has been taken away. (D36)"""

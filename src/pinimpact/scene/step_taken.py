@@ -49,6 +49,7 @@ class StepTaken:
     Attributes:
         h: Its length, were it not cut [s].
         middle: (nq,) configuration at the midpoint.
+        v: (nv,) velocity at the start, in the axes there.
         softened: (nv,) what damping and drives add to M.
         pushed: (nv,) mean acceleration by the impulses of the step before.
         follows: (nv,) which drives follow their laws.
@@ -65,6 +66,7 @@ class StepTaken:
 
     h: float
     middle: Array
+    v: Array
     softened: Array
     pushed: Array
     follows: Bools

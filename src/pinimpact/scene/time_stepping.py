@@ -21,6 +21,7 @@ from ..errors import IrregularMotionError
 from ..robot.forest import has_constant_mass, mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
+from ._kernels.lie_charts import velocity_within
 from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
@@ -32,7 +33,7 @@ from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
-from .joint_charts import turns_far
+from .joint_charts import midpoint
 from .rest import Rest
 from .step_taken import Near, Removal, StepTaken
 from .switched_off import locked_joints
@@ -163,25 +164,24 @@ class TimeStepping(Integrator):
         Returns:
             `WHOLE` or `CUT`; or why the step is not taken: `MISSED` or `PASSED`.
         """
-        state, model = self.state, self.model
-        before, middle = (state.pushed, state.step_before), pin.integrate(model, state.q, 0.5 * h * state.v)
+        state, before = self.state, (self.state.pushed, self.state.step_before)
+        middle, v = midpoint(self.work.joint_charts, state.q, state.v, h)
         may_be_halved = h > STEPS_SHORTEST * self._dt
-        too_far = may_be_halved and turns_far(self.work.joint_charts, state.v, h)
-        if too_far or (may_be_halved and self._faces.may_pass(middle, state.v, h)):
+        if may_be_halved and self._faces.may_pass(middle, v, h):
             return PASSED
         if h > LONGER * state.step_before:
             state.pushed = self._no_change
         state.step_before = h
-        t, v, pushed = state.t, state.v, state.pushed
+        t, pushed = state.t, state.pushed
         self._faces.place(middle, v, h)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
-        rows, system, found, (share, lost, overlap) = self._solve(t, h, middle, strikes)
-        step, axes = self._dense(t, h, system, rows, found)
+        rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
+        step, axes = self._dense(t, h, v, (system, rows, found))
         step.end = t + share * h
         self.instant.rims.check_step(rows, found, step)
         if self.record.keeps_steps:
-            step.taken = self._taken(h, (middle, system.softened, pushed), axes, rows, found)
+            step.taken = self._taken(h, (middle, v), (system.softened, pushed), axes, rows, found)
         closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
         slowest = within = 0.0
         if closing.any():
@@ -199,7 +199,9 @@ class TimeStepping(Integrator):
                 return CUT
         state.works = step.work_at(step.end)
         state.impact_energy += lost
-        state.t, (state.q, state.v) = step.end, step.at(step.end)
+        state.t, (state.q, _), v_end = step.end, step.at(step.end), np.empty(len(v))
+        velocity_within(self.work.joint_charts, h, share, state.v, found.v_end, v_end)
+        state.v = v_end
         if closing.any():
             self._sample()
             if step.taken is not None:
@@ -213,51 +215,50 @@ class TimeStepping(Integrator):
         if overlap > max(self._touching, self._closed(h, found)):
             moved = self._project(step, h, overlap, system)
         if self._continuous is None:
-            self._let_rest(step, rows, active, (v, found.v_end, moved / h))
+            self._let_rest(step, rows, active, (v, v_end, moved / h))
             if step.taken is not None:
                 step.taken.stopped |= self._rest.joints[self.work.velocity_joint]
-        state.v = found.v_end
         return WHOLE
 
     def _solve(
-        self, t: float, h: float, middle: Array, strikes: bool
+        self, t: float, h: float, middle: tuple[Array, Array], strikes: bool
     ) -> tuple[StepRows, StepSystem, StepResult, tuple[float, float, float]]:
         """Solve the equations of a step, whose rows include all that would overlap at its end without them.
 
         Args:
             t: Its start [s].
             h: Its length [s].
-            middle: (nq,) configuration at its midpoint.
+            middle: (nq,) configuration at its midpoint, and (nv,) velocity at its start, in the axes there.
             strikes: As of `_take`.
 
         Returns:
             Its rows, matrices and result, and what `close_gaps` returns.
         """
-        state, v, slack = self.state, self.state.v, STEPS_SLACK * h * h * self._gravity
+        state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
         softened, pushed = self._softening(h), state.pushed
-        self._invert(middle, softened)
+        self._invert(q, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, self._tree, self._start),
             *(self._rest.joints, self._collides, self._compliances),
         )
         state.warm_start = np.array(state.warm_start)
-        rows, room = self._rows(middle, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps
+        rows, room = self._rows(q, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps
         while True:
             found, state.pushed = rows.room(len(v), room), np.array(pushed)
             off, *ends = midpoint_step(
-                *(self.work, t + 0.5 * h, h, middle, v, strikes),
+                *(self.work, t + 0.5 * h, h, q, v, strikes),
                 *(system, rows, state.warm_start, state.pushed, found),
             )
             self.dynamics.check()
             self._check(t, off, found)
             # forces and impulses of the step may drive points in that were not near before
-            driven = self._numbers(middle, found.v_end, 2.0 * h, -self._touching, False)
+            driven = self._numbers(q, found.v_end, 2.0 * h, -self._touching, False)
             known = rows.near(self.work.contacts)
             joined = np.zeros(len(self._near), dtype=bool)
             joined[known] = True
             if joined[driven].all():
                 break
-            rows = self._rows(middle, v, h, slack, False, np.union1d(known, driven))
+            rows = self._rows(q, v, h, slack, False, np.union1d(known, driven))
         if off > max(USABLE, state.unsolved):
             if state.unsolved == 0.0:
                 self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
@@ -368,15 +369,15 @@ class TimeStepping(Integrator):
         invert_trees(mass_matrix(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
     def _dense(
-        self, t: float, h: float, system: StepSystem, rows: StepRows, found: StepResult
+        self, t: float, h: float, v: Array, solved: tuple[StepSystem, StepRows, StepResult]
     ) -> tuple[DenseStep, Array]:
         """Return the step with its forces, and the axes of its contacts, and record its modes."""
-        work, state = self.work, self.state
+        work, state, (system, rows, found) = self.work, self.state, solved
         coefficients = np.zeros((DENSE_TERMS, 2 * work.nv + WORKS))
         contacts = np.concatenate([rows.contacts, rows.held])
         world, points = np.zeros((2, len(contacts), 3))
         mean = MeanForces(world, points, np.empty((len(contacts), 3, 3)), np.zeros(work.nv))
-        acts = report_step(work, h, self._still, state.v, system, rows, found, coefficients, mean)
+        acts = report_step(work, h, self._still, state.v, v, system, rows, found, coefficients, mean)
         step = DenseStep(t, h, state.q, state.v, state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
         if acts or resting is not None:
@@ -386,18 +387,19 @@ class TimeStepping(Integrator):
     def _taken(
         self,
         h: float,
-        matrices: tuple[Array, Array, Array | None],
+        middle: tuple[Array, Array],
+        velocities: tuple[Array, Array | None],
         axes: Array,
         rows: StepRows,
         found: StepResult,
     ) -> StepTaken:
-        """Return what a step was computed from: configuration at its midpoint, what softens, `pushed`, …."""
-        work, (q, softened, pushed) = self.work, matrices
+        """Return what a step was computed from: its midpoint, what softens, `pushed`, …."""
+        work, (softened, pushed) = self.work, velocities
         assert pushed is not None
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
         rests = self._rest.joints[work.velocity_joint]
-        given = h, q, softened, pushed, follows, rests, self._near_of(rows), axes
+        given = h, *middle, softened, pushed, follows, rests, self._near_of(rows), axes
         return StepTaken(*given, rows, found.kept(), self._touching, self._closed(h, found))
 
     def _closed(self, h: float, found: StepResult) -> float:

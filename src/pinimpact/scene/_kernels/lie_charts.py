@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..._compile.declared import FLOATS, INTEGER_ROWS, declared
 from ..._compile.jit import inlined, jit
 from .tolerances import TURN
@@ -108,6 +110,61 @@ def chart_rate(joints, xi, v, rate):
             rate[j2] = w1 + 0.5 * x1 + e * (f2 * x3 - f3 * x2)
             rate[j2 + 1] = w2 + 0.5 * x2 + e * (f3 * x1 - f1 * x3)
             rate[j2 + 2] = w3 + 0.5 * x3 + e * (f1 * x2 - f2 * x1)
+
+
+@declared(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
+@jit
+def turn_axes(joints, turn, v, out):
+    """Fill a velocity with that of free bodies in axes that have turned by exp(φ), φ in `turn`, meanwhile."""
+    for m in range(len(v)):
+        out[m] = v[m]
+    for k in range(joints.shape[0]):
+        kind, j = joints[k, 0], joints[k, 2]
+        if kind == PLANAR:
+            c, s = math.cos(turn[j + 2]), math.sin(turn[j + 2])
+            out[j], out[j + 1] = c * v[j] + s * v[j + 1], c * v[j + 1] - s * v[j]
+        elif kind == RIGID:
+            f1, f2, f3 = turn[j + 3], turn[j + 4], turn[j + 5]
+            s, c, _ = half_turn(math.sqrt(f1 * f1 + f2 * f2 + f3 * f3))
+            out[j], out[j + 1], out[j + 2] = rotate(-s * f1, -s * f2, -s * f3, c, v[j], v[j + 1], v[j + 2])
+
+
+@declared(INTEGER_ROWS, float, float, FLOATS, FLOATS, FLOATS)
+@jit
+def velocity_within(joints, h, part, start, v_end, out):
+    """Fill the velocity after a part of a time step: linear in time, of free bodies in axes that stand still.
+
+    Args:
+        joints: The table.
+        h: Length of the step [s].
+        part: The part.
+        start: (nv,) velocity at the start.
+        v_end: (nv,) velocity at the end, in the axes of the midpoint.
+        out: (nv,) takes the velocity, in its axes.
+    """
+    turn, last = np.empty((2, len(start)))
+    for m in range(len(start)):
+        turn[m] = -0.5 * h * start[m]
+    turn_axes(joints, turn, v_end, last)
+    for m in range(len(start)):
+        turn[m] = part * h * (start[m] + 0.5 * part * (last[m] - start[m]))
+        last[m] = (1.0 - part) * start[m] + part * last[m]
+    turn_axes(joints, turn, last, out)
+
+
+@inlined
+def add_turning(joints, v, factor, out):
+    """Add a multiple of ω × v of free bodies: their acceleration in axes that stand still, less v̇."""
+    for k in range(joints.shape[0]):
+        kind, j = joints[k, 0], joints[k, 2]
+        if kind == PLANAR:
+            out[j] -= factor * v[j + 2] * v[j + 1]
+            out[j + 1] += factor * v[j + 2] * v[j]
+        elif kind == RIGID:
+            a, b, c, x, y, z = v[j], v[j + 1], v[j + 2], v[j + 3], v[j + 4], v[j + 5]
+            out[j] += factor * (y * c - z * b)
+            out[j + 1] += factor * (z * a - x * c)
+            out[j + 2] += factor * (x * b - y * a)
 
 
 @inlined

@@ -26,6 +26,7 @@ from .dynamics import (
     set_state,
     sphere_gap,
 )
+from .lie_charts import add_turning
 from .step_impulses import step_impulses
 from .step_rows import StepResult, StepRows, StepSystem, closing_speed, normal_row
 from .tolerances import STEPS_GAIN
@@ -298,6 +299,19 @@ def gains(h, system, rows, v, pushed, found):
     return work_done > STEPS_GAIN * energy
 
 
+@inlined
+def evaluate_in_still_axes(work, t, q, v):
+    """Leave the acceleration without contact forces, of free bodies in the axes of the midpoint. (16.1)
+
+    Returns:
+        whether that went well.
+    """
+    set_state(work, q, v)
+    evaluate_without_contacts(work, t, np.empty(2))
+    add_turning(work.joint_charts, v, 1.0, work.acceleration)
+    return not work.callback_failed
+
+
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, bool),
     *(StepSystem, StepRows, FLOATS, FLOATS, StepResult),
@@ -311,7 +325,7 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
         t: Time at the midpoint [s].
         h: Length of the step [s].
         q: (nq,) configuration at the midpoint.
-        v: (nv,) velocity at the start.
+        v: (nv,) velocity at the start, in the axes of the midpoint.
         strikes: Whether what closes fast is to collide.
         system: The `StepSystem`.
         rows: The `StepRows`, of which only the numbers are set.
@@ -340,13 +354,11 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
 @external
 def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent):
     """Take a step, `bent` or not, see `StepResult`; arguments are those of `midpoint_step`."""
-    n, nv, powers = len(rows.counts), len(v), np.empty(2)
+    n, nv = len(rows.counts), len(v)
     offset, free, mean = np.empty(n), np.empty(n), np.empty(nv)
     acceleration, turning = np.empty((2, len(rows.contacts) + len(rows.held), 3))
     u_start, predicted, v_end = found.u_start, found.predicted, found.v_end
-    set_state(work, q, v)
-    evaluate_without_contacts(work, t, powers)
-    if work.callback_failed:
+    if not evaluate_in_still_axes(work, t, q, v):
         return 0.0, 1.0, 0.0, 0.0
     fill_rows(work, v, rows, u_start, acceleration, turning)
     rates(rows.values, rows.columns, rows.counts, v, offset)
@@ -360,9 +372,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     for c in range(nv):
         predicted[c] += h * pushed[c]  # by impulses as in the step before
         mean[c] = 0.5 * (v[c] + predicted[c])
-    set_state(work, q, mean)
-    evaluate_without_contacts(work, t, powers)
-    if work.callback_failed:
+    if not evaluate_in_still_axes(work, t, q, mean):
         return 0.0, 1.0, 0.0, 0.0
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)

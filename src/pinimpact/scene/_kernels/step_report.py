@@ -12,7 +12,7 @@ from ..._numeric.elimination import largest_of
 from ..._numeric.tolerances import ROUNDING
 from .contact_forces import FREE, HELD, SLIP, STICK
 from .force_evaluation import places_of_contacts
-from .lie_charts import chart_rate
+from .lie_charts import add_turning, turn_axes, velocity_within
 from .step_rows import MeanForces, StepResult, StepRows, StepSystem
 from .workspace import SceneWorkspace
 
@@ -46,24 +46,43 @@ def scalar_modes(work, still, rows, found, dried):
 
 
 @inlined
-def joint_motion(work, h, v, softened, found, dried, powers, coefficients):
-    """Fill the dense output of q and v, and the powers, times h, of control and drives and of joints.
+def dense_output(work, h, start, v_end, coefficients):
+    """Fill the dense output of q and v: velocities linear in time, of free bodies in axes that stand still.
+
+    In axes that turn with them theirs is the cubic with both rates. Arguments as of `report_step`.
+    """
+    charts, nv = work.joint_charts, len(start)
+    turn, last, ended, first_rate, last_rate = np.empty((5, nv))
+    for c in range(nv):
+        turn[c] = -0.5 * h * start[c]
+    turn_axes(charts, turn, v_end, last)
+    for c in range(nv):
+        coefficients[0, c] = turn[c] = 0.5 * h * (start[c] + last[c])
+        first_rate[c] = last[c] - start[c]
+        coefficients[1, c] = -0.5 * h * first_rate[c]
+    velocity_within(charts, h, 1.0, start, v_end, ended)
+    turn_axes(charts, turn, first_rate, last_rate)
+    add_turning(charts, start, -h, first_rate)
+    add_turning(charts, ended, -h, last_rate)
+    for c in range(nv):
+        change = ended[c] - start[c]
+        coefficients[0, nv + c] = change
+        coefficients[1, nv + c] = first_rate[c] - change
+        coefficients[2, nv + c] = 2.0 * change - first_rate[c] - last_rate[c]
+
+
+@inlined
+def joint_powers(work, h, v, softened, found, dried, powers):
+    """Fill the powers, times h, of control and drives and of joints.
 
     Arguments as of `report_step`; `dried` (nv,) are impulses of dry friction, powers (2, 2) takes those at
     the start and at the end.
     """
-    v_end, predicted, nv = found.v_end, found.predicted, len(v)
-    turn, rate, mean = np.empty(nv), np.empty(nv), np.empty(nv)
-    for c in range(nv):
-        mean[c] = 0.5 * (v[c] + v_end[c])
-        turn[c] = 0.5 * h * mean[c]
-    chart_rate(work.joint_charts, turn, mean, rate)
-    for c in range(nv):
-        coefficients[0, c] = h * rate[c]
-        coefficients[1, c] = -0.5 * h * (v_end[c] - v[c])
-        coefficients[0, nv + c] = v_end[c] - v[c]
+    v_end, predicted = found.v_end, found.predicted
+    for c in range(len(v)):
+        mean = 0.5 * (v[c] + v_end[c])
         follows = (softened[c] - 0.5 * h * work.damping[c]) * (v_end[c] - predicted[c])
-        pushed, lost = h * work.control_force[c] - follows, dried[c] - h * work.damping[c] * mean[c]
+        pushed, lost = h * work.control_force[c] - follows, dried[c] - h * work.damping[c] * mean
         for e in range(2):
             speed = v[c] if e == 0 else v_end[c]
             powers[0, e] += pushed * speed
@@ -104,12 +123,12 @@ def contact_motion(work, h, still, rounding, rows, found, powers, forces):
 
 
 @declared(
-    *(SceneWorkspace, float, float, FLOATS),
+    *(SceneWorkspace, float, float, FLOATS, FLOATS),
     *(StepSystem, StepRows, StepResult, FLOAT_ROWS, MeanForces),
     result=bool,
 )
 @jit
-def report_step(work, h, still, v, system, rows, found, coefficients, forces):
+def report_step(work, h, still, start, v, system, rows, found, coefficients, forces):
     """Fill dense output, modes and mean forces of a step just taken; return whether any force acts.
 
     The velocity is linear in time, and so are the powers.
@@ -118,7 +137,7 @@ def report_step(work, h, still, v, system, rows, found, coefficients, forces):
         work: The workspace; its modes are set, but those of what rests.
         h: Length of the step [s].
         still: Speed up to which nothing slips [m/s].
-        v: (nv,) velocity at the start.
+        start, v: (nv,) velocity at the start, in its axes and in those of the midpoint.
         system, rows, found: What the step was solved with.
         coefficients: (terms, 2 nv + works) takes the dense output; zero before.
         forces: Takes the `MeanForces`; zero before.
@@ -127,7 +146,8 @@ def report_step(work, h, still, v, system, rows, found, coefficients, forces):
     powers = np.zeros((4, 2))  # of control and drives, of joints, of sliding friction, of surfaces
     free_modes(work, system.rests)
     scalar_modes(work, still, rows, found, dried)
-    joint_motion(work, h, v, system.softened, found, dried, powers[:2], coefficients)
+    dense_output(work, h, start, found.v_end, coefficients)
+    joint_powers(work, h, v, system.softened, found, dried, powers[:2])
     rounding = ROUNDING * largest_of(impulse, 0)
     contact_motion(work, h, still, rounding, rows, found, powers[2:], forces)
     for k in range(4):

@@ -102,7 +102,7 @@ class StepResult(NamedTuple):
         u_end: (rows,) those at the end.
         arrives: (nc + nl,) what closes so fast that it has been apart: it has no impulse here.
         predicted: (nv,) the velocity with which forces were evaluated at the end.
-        v_end: (nv,) the velocity at the end.
+        v_end: (nv,) the velocity at the end; both are in the axes of the midpoint.
         gap_end: (nc + nl,) the gaps at the end [m].
         bent: (1,) whether the rows of contacts bend along the velocity, and slow overlap is closed.
         course: (2, …, rows) compliances r and impulses of the iterations, zeros from the last one on. (16.3)

@@ -105,11 +105,6 @@ STEPS_SHORTEST = 2.0**-10
 """Part of a time step below which it is not halved: flat shapes that may pass through each other have no
 thickness, and times are to differ by more than rounding."""
 
-STEPS_TURN = 0.03
-"""Angle by which a free body may turn in a time step, else it is halved: its linear velocity, in axes that
-turn, is integrated as any other, so that a ball with 180 rad/s that rolls on would gain half its energy in
-2 s of steps of a millisecond."""
-
 STEPS_STILL = 1e-5
 """Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
 leaves at rest."""
