@@ -126,3 +126,14 @@ def test_copies_at_rest_go_on_as_the_original():
             one.step(force, 0.05)
     assert np.array_equal(stepper.q, other.q)
     assert stepper.q[0] > 1e-4
+
+
+@pytest.mark.parametrize("tilt", [1e-3, 7e-3, 0.02])
+def test_a_box_that_stands_on_another_stops_to_rock(tilt):
+    """Both fall alike without contact forces: an edge that closes a little has not been apart therefore."""
+    scene, turn = boxes(2, (0.2, 0.2, 0.1), 1.0), pin.utils.rotate("y", 0.5 * np.pi + tilt)
+    height = 0.1 + 0.05 * np.sin(tilt) + 0.1 * np.cos(tilt)
+    q0 = np.r_[0, 0, 0.05, UP, 0, 0, height, pin.Quaternion(turn).coeffs()]
+    run = simulate(scene, q0, np.zeros(12), 1.5, scheme="time-stepping", dt=2e-3)
+    assert np.abs(run.v[-1]).max() == 0.0
+    assert run.q[-1, 9] == pytest.approx(0.2, abs=1e-8)

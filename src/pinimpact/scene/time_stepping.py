@@ -239,7 +239,7 @@ class TimeStepping(Integrator):
         self._invert(q, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, self._tree, self._start),
-            *(self._rest.joints, self._collides, self._compliances),
+            *(self._rest.joints, self._collides, self._compliances, self._gravity),
         )
         state.warm_start = np.array(state.warm_start)
         rows, room = self._rows(q, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps

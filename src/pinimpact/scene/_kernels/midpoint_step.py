@@ -199,8 +199,9 @@ def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
     nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
     for i in range(nc + len(rows.limits)):
         row, place = normal_row(nc, every, i)
-        # what closes faster than the step's own acceleration makes has been apart: an impact
-        own = abs(free[row] - u_start[row])
+        # what closes faster than the step's own acceleration makes has been apart: an impact; forces of other
+        # contacts, as of a body that the other one rests on, are of the size of weights
+        own = max(abs(free[row] - u_start[row]), h * system.gravity)
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
         may = strikes if collides[number_of(work, rows, i)] else rows.gap[place] > 0.0

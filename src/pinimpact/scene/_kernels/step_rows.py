@@ -81,6 +81,7 @@ class StepSystem(NamedTuple):
         rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
         compliances: (n,) of all contacts.
+        gravity: Its acceleration [m/s²].
     """
 
     mass: FloatRows
@@ -91,6 +92,7 @@ class StepSystem(NamedTuple):
     rests: Flags
     collides: Flags
     compliances: Floats
+    gravity: float
 
 
 class StepResult(NamedTuple):
