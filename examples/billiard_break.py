@@ -58,16 +58,17 @@ def strike(places: np.ndarray, side: float) -> tuple[np.ndarray, pinimpact.ManyS
 
 def main() -> None:
     """Print the cradle, and draw two breaks."""
+    print("cradle: speeds of five balls after the first one has struck at a speed of 1, with e = 0.97")
     for policy in ("propagate", "sequence", "together"):
-        print(f"cradle, {policy:<9}  {np.round(cradle(policy), 4)}")
+        print(f"  {policy:<9}  {np.round(cradle(policy), 4)}")
     places = rack()
     figure, axes = plt.subplots(1, 2, figsize=(9, 4.2))
     for ax, title, side in zip(axes, ("straight on", "at 20°"), (0.0, np.radians(20.0)), strict=True):
         velocity, solution = strike(places, side)
-        left = 1.0 + solution.work.total.sum() / 0.5
+        left, fastest = 1.0 + solution.work.total.sum() / 0.5, np.linalg.norm(velocity[1:], axis=1).max()
         print(
-            f"break, {title}: {len(solution.impulse)} contacts, {solution.events} events, "
-            f"{100 * left:.1f} % of the energy left"
+            f"break, {title}: {len(solution.impulse)} contacts, {100 * left:.1f} % of the energy left; "
+            f"the fastest ball has {fastest:.2f} of the speed of the cue ball"
         )
         ax.set(title=title, aspect="equal", xlim=(-3.5, 6), ylim=(-4.2, 4.2), xticks=[], yticks=[])
         for place in places:

@@ -42,7 +42,7 @@ def main():
             if approach > 0.01:  # a touchdown
                 impacts += 1
                 print(
-                    f"{step * DT:.3f} s: {approach:.3f} m/s, impulse {hit.impulse_world.round(3)} N s, "
+                    f"{step * DT:.3f} s: {approach:.3f} m/s, impulse {hit.impulse_world.round(3)} N s. "
                     f"{' '.join(hit.solution.flags.describe())}"
                 )
             else:  # sustained contact
@@ -51,7 +51,7 @@ def main():
             v = hit.v
         q = pin.integrate(model, q, DT * v)
     gap = tool.gap(model, data, q)
-    print(f"{impacts} touchdowns, {on_table} steps on the table, gap {1e3 * gap:.2f} mm in the end")
+    print(f"{impacts} touchdowns, {on_table} steps on the table, gap {1e3 * gap:.0e} mm in the end")
 
 
 if __name__ == "__main__":

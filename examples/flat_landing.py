@@ -58,8 +58,9 @@ def main() -> None:
             first = motion.impacts[0].time
             early = [impact for impact in motion.impacts if impact.time < first + 5e-3]
             instants = sorted({impact.time for impact in early})
-            print(f"{policy}, {name}: {len(early)} impulses at {len(instants)} instants in the first 5 ms")
-            print(f"  base after 5 ms: v = {np.round(base[:3], 4)} m/s, ω = {np.round(base[3:], 3)} rad/s")
+            print(f"{policy}, {name}, first 5 ms: impulses {len(early)}, instants {len(instants)}")
+            linear, angular = np.round(base.reshape(2, 3), 4) + 0.0  # without −0
+            print(f"  base after 5 ms: v = {linear} m/s, ω = {angular} rad/s")
             draw(ax, motion)
             ax.set_title(f"{policy}, {name}")
     axes[0, 0].legend()

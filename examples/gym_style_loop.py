@@ -72,7 +72,8 @@ def main():
     while not (terminated or truncated):
         _, reward, terminated, truncated, info = environment.step(random.uniform(-1, 1, 12))
         total, impacts = total + reward, impacts + info["impacts"]
-    print(f"{environment.steps} steps, return {total:.2f}, {impacts} impacts, feet {info['feet']}")
+    modes = ", ".join(f"{foot} {mode}" for foot, mode in zip(FEET, info["feet"], strict=True))
+    print(f"{environment.steps} steps, return {total:.2f}, {impacts} impacts; in the end {modes}")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,8 @@ def strike(samples, design="saltelli"):
 def main(samples=8192):
     """Print and plot the velocities after the impact."""
     _, found = strike(samples)
-    print(f"{found}: status {found.frequencies()}")
+    shares = ", ".join(f"{share.value:.0%} {status}" for status, share in found.frequencies().items())
+    print(f"{found}: {shares}")
     names = [f"v.panda_joint{k}" for k in (1, 2, 3, 4, 5, 6, 7)]
     _, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     for row, name in enumerate(names):

@@ -61,7 +61,7 @@ def main(tosses=40):
     """Identify the box from all tosses but the last ten, and predict those."""
     rng = np.random.default_rng(0)
     true = box(CENTRE, INERTIA, FRICTION, RESTITUTION, SLIDING)
-    motions = [record(true, rng, group=k) for k in range(tosses)]
+    motions = [record(true, rng, group=f"toss {k}") for k in range(tosses)]
     known, held_out = motions[:-10], motions[-10:]
 
     guess = box(np.zeros(3), np.diag([8e-4, 7e-4, 5e-4]))
@@ -69,7 +69,7 @@ def main(tosses=40):
         found = studies.impacts(guess, known)
         body = studies.identify_body(found, free=("com", "inertia"))
         guess = body.apply(guess)
-    print(f"{len(found)} impacts, {len(found.dropped)} dropped; the first because:\n  {found.dropped[0]}")
+    print(f"{len(found)} impacts; {len(found.dropped)} left out, as the first:\n  {found.dropped[0]}")
     show(body, [*CENTRE, *np.diag(INERTIA) / MASS, 0, 0, 0])
 
     pair = studies.identify(found, guess, law=LAW)

@@ -80,7 +80,7 @@ def main():
     motion, (end, place) = replay(push, 0.6), ASKED[1]
     struck = [impact.source for impact in motion.impacts if impact.time < end]
     print(f"torques {push.round(4)} N m; {len(struck)} impacts of {len(set(struck))} feet")
-    print(f"the replay is {np.linalg.norm(motion.at(end)[0][:3] - place):.0e} m from the asked place")
+    print(f"the replay is {np.linalg.norm(motion.at(end)[0][:3] - place):.0e} m from the target")
     _, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     left.plot(motion.t, motion.q[:, :3], label=["x", "y", "z"])
     left.plot([end] * 3, place, "ko", ms=4, label="asked")

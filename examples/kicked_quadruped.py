@@ -48,8 +48,9 @@ def main() -> None:
         speed = free.solution.velocity[i]
         does = "lifts" if speed[2] > 1e-9 else "slips" if np.hypot(*speed[:2]) > 1e-9 else "sticks"
         alone, glue = free.impulses_world[i].round(3), glued[i - 1].round(3)
-        print(f"{foot}: {does} with {alone} N s; held {glue} N s{', which pulls' if glue[2] < 0 else ''}")
-    print(f"base: {free.v[:3].round(3)} m/s with free feet, {held.v[:3].round(3)} m/s held")
+        pulls = ", which pulls" if glue[2] < 0 else ""
+        print(f"{foot}: impulse {alone} N s if free, and {does}; {glue} N s if held{pulls}")
+    print(f"base: {free.v[:3].round(3)} m/s with free feet, {held.v[:3].round(3) + 0.0} m/s held")
     ax = plt.figure(figsize=(6, 3.5)).add_subplot()
     places = np.arange(4)
     ax.bar(places - 0.2, free.impulses_world[1:, 2], 0.4, label="free to lift and slip")

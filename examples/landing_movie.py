@@ -42,7 +42,7 @@ def main(folder: Path = Path("out")) -> None:
     shown = pinimpact.replay(robot, trajectory, folder / "landing.html", speed=0.1, slowdown=1.0)
     print(shown)
     print(shown.video(folder / "landing.gif", rate=12.5, size=(720, 420)))
-    for interval in trajectory.modes:
+    for interval in sorted(trajectory.modes, key=lambda interval: interval.start):
         print(f"{interval.source} {interval.mode}s from {interval.start:.3f} s to {interval.end:.3f} s")
 
 

@@ -49,7 +49,7 @@ def main(out: Path) -> None:
     """Print when each foot slipped, and write the figure."""
     trajectory = simulate_push()
     for interval in trajectory.modes:
-        if interval.mode == "slip" and interval.end - interval.start > 1e-3:
+        if interval.mode == "slip" and interval.end - interval.start > 2e-3:
             print(f"{interval.source} slips from {interval.start:.3f} s to {interval.end:.3f} s")
     drift, speed = trajectory.q[-1, :2], np.abs(trajectory.v[-1]).max()
     print(f"the trunk has moved by ({drift[0]:.3f}, {drift[1]:.3f}) m and moves at {speed:.1e} now")

@@ -42,8 +42,8 @@ def main():
         )
         normal = trajectory.forces(foot, times)[:, 2]
         print(
-            f"{foot}: {hardest.solution.impulse[2]:.3f} N s at {hardest.time:.3f} s, then "
-            f"up to {normal.max():.0f} N, {normal[-1]:.2f} N in the end"
+            f"{foot}: largest impulse {hardest.solution.impulse[2]:.3f} N s at {hardest.time:.3f} s; "
+            f"normal force up to {normal.max():.0f} N, {normal[-1]:.2f} N in the end"
         )
     total = sum(trajectory.forces(foot, DURATION)[2] for foot in FEET)
     print(f"sum {total:.2f} N, weight {9.81 * pin.computeTotalMass(model):.2f} N")

@@ -49,9 +49,8 @@ def main():
         print(
             f"Panda {label}: impulse {hit.impulse_world.round(3)} N s, {energy:.4f} J lost; largest change "
             f"of a joint's momentum: UR5 {np.abs(change[:split]).max():.3f}, "
-            f"Panda {np.abs(change[split:]).max():.3f} N m s"
+            f"Panda {np.abs(change[split:]).max():.3f} N m s. {' '.join(hit.solution.flags.describe())}"
         )
-    print(*hit.solution.flags.describe())
 
 
 if __name__ == "__main__":

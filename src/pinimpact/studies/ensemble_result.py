@@ -207,7 +207,8 @@ def shares(values: NDArray[Any], confidence: float) -> dict[str, Estimate]:
     for k in np.argsort(-counts, kind="stable").tolist():
         test = stats.binomtest(int(counts[k]), len(values))
         interval = test.proportion_ci(confidence, method="wilson")
-        found[str(names[k])] = Estimate(counts[k] / len(values), interval.low, interval.high)
+        share = float(counts[k]) / len(values)
+        found[str(names[k])] = Estimate(share, float(interval.low), float(interval.high))
     return found
 
 

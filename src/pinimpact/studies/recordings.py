@@ -249,7 +249,7 @@ def _impact(
     """Return q, v⁻, v⁺, covariance, time and contact of the impact between two flights, or why it is none."""
     if after.start - before.stop > 1:
         missing = after.start - before.stop
-        return f"{missing} frames between two flights are in neither, more than one impact takes"
+        return f"{missing} frames lie between two flights, more than one impact takes"
     first, last = poses.t[before.stop - 1], poses.t[after.start]
     instant = 0.5 * (first + last)
     for _ in range(2):  # frames on the wrong side of the instant are left out, and the flights fitted again
