@@ -28,6 +28,9 @@ from .time_stepping import TimeStepping
 CHUNK = 8
 """Steps after which two lengths of steps are compared."""
 
+SOON = 2.0
+"""Intervals of time steps within which another refusal makes the next one twice as long."""
+
 MOST_PARTS = 16
 """Parts of a step down to which they are shortened where that keeps to the tolerance."""
 
@@ -165,7 +168,7 @@ class Alternating(TimeStepping):
                 SteppedWarning,
                 stacklevel=2,
             )
-        soon = state.t - state.handed_back <= state.interval
+        soon = state.t - state.handed_back <= SOON * state.interval
         lasts = bool(self.shapes) or self.work.active_contacts > CROWD  # aligned faces stay so for a while
         if soon or lasts:
             state.coarse = self._longest if lasts else min(2.0 * state.coarse, self._longest)
