@@ -798,6 +798,28 @@ def test_bounces_that_accumulate_have_no_derivative_unless_they_come_to_rest():
 # ---- boundaries and refusals
 
 
+def test_an_arm_of_a_micrometre_moves_like_one_of_a_metre():
+    """Its velocities of 1 rad/s and their error are none of its tip, which closes with 1 µm/s."""
+    found = []
+    for size in (1.0, 1e-6):
+        model, joint = pin.Model(), 0
+        for name, at in (("upper", 0.0), ("lower", 1.0)):
+            place = pin.SE3(np.eye(3), size * np.array([at, 0, 0]))
+            joint = model.addJoint(joint, pin.JointModelRY(), place, name)
+            inertia = pin.Inertia(1.0, size * np.array([0.5, 0, 0]), size**2 * 0.1 * np.eye(3))
+            model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        place = pin.SE3(np.eye(3), size * np.array([1.0, 0, 0]))
+        model.addFrame(pin.Frame("tip", joint, place, pin.FrameType.OP_FRAME))
+        model.gravity.linear = size * np.array([0, 0, -9.81])
+        scene = Scene(model, Contact("tip", Plane((0, 0, -size)), 0.3, 0.5), **FREE)
+        options = {"rtol": 1e-9, "atol": 1e-12 * size, "scheme": "event-driven", "sensitivities": "state"}
+        run = simulate(scene, np.array([0.1, 0.3]), np.array([1.0, -0.5]), 0.3, **options)
+        assert len(run.impacts) == 1
+        found.append(run.sensitivity(0.3).state)
+    assert np.isfinite(found).all()
+    assert np.allclose(*found, rtol=1e-5)
+
+
 def test_grazing_is_no_number():
     ball = Contact("ball centre", Plane(), 0.0, 0.5, name="ball")
     scene = Scene(point("ball"), [ball], resting_speed=1e-12)

@@ -150,8 +150,8 @@ class ImpactJumps:
 
     def _begins_to_slip(self, record: ImpactRecord, matrices: ContactMatrices) -> bool:
         """Whether a contact slips in an impact and has not slipped before, but for the error of a step."""
-        work, rows = self.dynamics.work, matrices.jacobian[:2]
-        error = work.atol + work.rtol * np.abs(record.v_before).max()
+        work, rows = self.dynamics.work, matrices.jacobian[:2] / self.dynamics.work.joint_metres
+        error = work.atol + work.rtol * self.dynamics.fastest(record.v_before)
         slow = np.hypot(*matrices.velocity(record.v_before)[:2]) <= error * np.abs(rows).sum(axis=1).max()
         return bool(slow) and all(segment.mode == "slip" for segment in record.solution.segments)
 
@@ -170,6 +170,7 @@ class ImpactJumps:
         of_q -= np.outer(y, impulse / w * slopes.delassus[:, 2, 2])
         of_v = np.eye(nv) - (1.0 + e) / w * np.outer(y, guard)
         after, number = record.v_before + impulse * y, len(self.dynamics.contacts) + k
+        guard *= self.dynamics.work.joint_metres
         return SingleJump(record, number, np.hstack([of_q, of_v]), {}, guard, Boundary.NONE, after)
 
 
@@ -181,7 +182,7 @@ class SingleJump(NamedTuple):
         number: Of the contact or, past those, limit.
         by_state: (nv, 2nv) of the state, in the tangent space.
         by: (nv,) of the velocity, by kind of parameter.
-        approach: (nv,) ∂(gap)/∂q.
+        approach: (nv,) ∂(gap)/∂q [m per unit].
         boundary: Flags of `Boundary`.
         v: (nv,) the velocity.
     """

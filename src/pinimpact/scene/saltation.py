@@ -98,7 +98,7 @@ class Saltation:
         work, nv, still = self._dynamics.work, len(x) // 2, self.error(first.v)
         slow = self.slopes.speeds(first, np.array([first.start]))[0] <= still
         begins = work.active_index[slow & (work.active_friction > 0.0)]
-        joints = (closed.sliding != 0.0) & (np.abs(first.v) <= still)
+        joints = (closed.sliding != 0.0) & (work.joint_metres * np.abs(first.v) <= still)
         slips = [slip.rows for slip in after.slips if slip.contact in begins]
         rows = np.vstack([*slips, np.eye(nv, 2 * nv, nv)[joints]])
         if (np.abs(rows @ x) > REMAINS * (np.abs(rows) @ np.abs(x))).any():
@@ -190,9 +190,11 @@ class Saltation:
             if len(ends) + len(joints) > 0 and not lost and not reversed_ and not shared:
                 return _onto(plus, x)
             alone = len(ends) + len(turns) + (min(len(joints), 1) if shared else len(joints)) == 1
+            metres = np.tile(work.joint_metres, 2)
+            rate, jump = metres * rates[0], metres * (rates[0] - rates[1])
             if alone:
                 x = _through_rest(x, minus, [*ends, *turns], joints[:1], rates)
-            elif not np.linalg.norm(rates[0] - rates[1]) <= REMAINS * np.linalg.norm(rates[0]):
+            elif not np.linalg.norm(jump) <= REMAINS * np.linalg.norm(rate):
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
             if np.isnan(x).all():
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
@@ -283,7 +285,7 @@ class Saltation:
             shifts[np.tile(own, 2)] = -(guard @ x[:nv]) / closing
         result = self._after(x + rates[0][:, None] * shifts, jumps)
         removed = impacts[-1].v_after - rates[1][:nv]
-        if np.abs(removed).max(initial=0.0) > 10.0 * error:
+        if self._dynamics.fastest(removed) > 10.0 * error:
             result = self._without(result, removed, impacts[0].q, plus)
         result -= rates[1][:, None] * shifts
         result = self._bounced(result, jumps, modes[1])
@@ -377,9 +379,8 @@ class Saltation:
                 self.boundary |= Boundary.BOUND
 
     def error(self, v: Array) -> float:
-        """Return the error of a velocity that the tolerances allow."""
-        work = self._dynamics.work
-        return float(work.atol + work.rtol * np.abs(v).max(initial=0.0))
+        """Return the error of a velocity that the tolerances allow [m/s]."""
+        return float(self._dynamics.work.atol + self._dynamics.work.rtol * self._dynamics.fastest(v))
 
 
 def _through_rest(
