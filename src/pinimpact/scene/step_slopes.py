@@ -263,11 +263,14 @@ class StepSlopes:
     def _refuse_landings(self, taken: StepTaken, moved: _Moved, own: Array) -> None:
         """Set changes by what only impacts have, as e, to NaN where something lands without one at e = 0.
 
-        Its own change of the velocity (nv,) in a step, without impulses, is less than half of the approach.
+        That of the step itself (nv,), without impulses, and of gravity is less than half of the approach.
         """
         contacts, found = taken.rows.contacts, taken.found
         normals = np.s_[2 : 3 * len(contacts) : 3]
-        slow = np.maximum(2.0 * np.abs(moved.rows.jacobian @ own), self._work.resting_speed)
+        least = max(
+            2.0 * taken.h * float(np.linalg.norm(self._model.gravity.linear)), self._work.resting_speed
+        )
+        slow = np.maximum(2.0 * np.abs(moved.rows.jacobian @ own), least)
         lands = (found.u_start < -slow)[normals] & self._alike[contacts]
         closes = (found.gap_end[: len(contacts)] < 0.0) & (len(taken.arriving) == 0)
         lands &= closes | (found.impulse[normals] > 0.0)
