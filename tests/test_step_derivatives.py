@@ -194,6 +194,26 @@ def test_friction_that_just_holds_at_rest_has_no_derivative_by_what_it_opposes()
     assert np.isnan(run.sensitivity(0.02).state[0, 1])
 
 
+def test_a_ball_at_rest_rolls_after_any_change():
+    """What rests takes no part in steps, but in those that are differentiated."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    q = pin.neutral(model)
+    q[2] = 0.1
+    scene = Scene(model, Contact("ball", Plane(), 0.3, radius=0.1))
+    columns = [0, 1, 3, 4, 5, 6, 7, 9, 10, 11]
+    agrees(scene, q, np.zeros(6), 0.05, columns=columns, step=1e-5)
+    for rested in (0, 5):
+        stepper = Stepper(scene, q, np.zeros(6), scheme="time-stepping")
+        for _ in range(rested):
+            stepper.step(np.zeros(6), 0.01)
+        A, B = stepper.linearize(np.zeros(6), 0.01)
+        assert A[6, 6] == pytest.approx(5.0 / 7.0, rel=1e-6)  # it slides no more, with what spin it has
+        assert B[6, 0] == pytest.approx(0.01 * 5.0 / 7.0, rel=1e-2)
+
+
 @pytest.mark.parametrize("e", [0.0, 0.4])
 def test_what_lands_without_restitution_has_no_derivative_by_it(e):
     """It has no impact then, but one for any e > 0: the place of the box is off by what a step lasts."""

@@ -248,7 +248,6 @@ class StepSlopes:
         predicted = np.linalg.solve(total, predicted) + by_v + np.outer(taken.pushed, length)
         if taken.pushed.any():  # zero where steps begin
             predicted += h * by_pushed
-        predicted[taken.stopped] = 0.0
         change, expected = found.v_end - v, found.predicted - v
         known = right(0.5 * (v + found.predicted), 0.5 * (by_v + predicted), change)
         acting = (total @ change - softened * expected - pushes) / h
@@ -292,7 +291,6 @@ class StepSlopes:
         if moved.tied:
             other = self._solve(taken, True, *given)
             tied |= (np.abs(v_end - other.v_end) > STALLED * largest + COMPUTED * least).any(axis=0)
-        v_end[taken.stopped] = 0.0
         if tied.any():
             self.boundary |= Boundary.EVENTS_COINCIDE
             v_end[:, tied] = np.nan

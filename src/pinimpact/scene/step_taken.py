@@ -53,7 +53,6 @@ class StepTaken:
         softened: (nv,) what damping and drives add to M.
         pushed: (nv,) mean acceleration by the impulses of the step before.
         follows: (nv,) which drives follow their laws.
-        stopped: (nv,) velocities that are none: of what is at rest, or comes to rest at the end.
         near: What its rows belong to.
         axes: (k, 3, 3) axes of these contacts at the midpoint, as rows.
         rows, found: Rows and result of the step.
@@ -70,7 +69,6 @@ class StepTaken:
     softened: Array
     pushed: Array
     follows: Bools
-    stopped: Bools
     near: Near
     axes: Array
     rows: StepRows

@@ -128,6 +128,8 @@ class TimeStepping(Integrator):
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one step, with the impacts in it; return the length of the next."""
         state = self.state
+        if self.record.keeps_steps:  # whatever rests may move as something changes
+            self._rest.wake_all()
         # what rests needs no steps, but functions of the user's are to be asked
         longest = math.inf if self._rest.complete and not self.events else self._dt
         left, struck = min(longest, stop - state.t), 0
@@ -214,10 +216,8 @@ class TimeStepping(Integrator):
         active, moved = ~found.arrives, self._no_change
         if overlap > max(self._touching, self._closed(h, found)):
             moved = self._project(step, h, overlap, system)
-        if self._continuous is None:
+        if self._continuous is None and step.taken is None:
             self._let_rest(step, rows, active, (v, v_end, moved / h))
-            if step.taken is not None:
-                step.taken.stopped |= self._rest.joints[self.work.velocity_joint]
         return WHOLE
 
     def _solve(
@@ -398,8 +398,7 @@ class TimeStepping(Integrator):
         assert pushed is not None
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
-        rests = self._rest.joints[work.velocity_joint]
-        given = h, *middle, softened, pushed, follows, rests, self._near_of(rows), axes
+        given = h, *middle, softened, pushed, follows, self._near_of(rows), axes
         return StepTaken(*given, rows, found.kept(), self._touching, self._closed(h, found))
 
     def _closed(self, h: float, found: StepResult) -> float:
