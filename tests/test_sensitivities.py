@@ -798,6 +798,20 @@ def test_bounces_that_accumulate_have_no_derivative_unless_they_come_to_rest():
 # ---- boundaries and refusals
 
 
+@pytest.mark.parametrize("friction", [0.2, 0.25])
+def test_friction_that_just_holds_is_flagged(friction):
+    """A change to one side lets the block, or the joint, slide."""
+    block = Contact("block centre", Plane(normal=(0.2, 0.0, 1.0)), friction)
+    mass = pin.Model()
+    joint = mass.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
+    mass.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    mass.friction[:] = 9.81 * friction / 0.2
+    for scene in (Scene(point("block"), block), Scene(mass)):
+        n = scene.model.nv
+        run = simulate(scene, np.zeros(n), np.zeros(n), 0.1, sensitivities="state")
+        assert (Boundary.STICK_THRESHOLD in run.sensitivity(0.1).boundary) == (friction == 0.2)
+
+
 def test_an_arm_of_a_micrometre_moves_like_one_of_a_metre():
     """Its velocities of 1 rad/s and their error are none of its tip, which closes with 1 µm/s."""
     found = []

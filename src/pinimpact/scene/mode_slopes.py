@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .._numeric.tolerances import COMPUTED
 from ..arrays import Array
 from ..robot.derivatives import check_joints
 from ..robot.pinocchio_bridge import Call, call_addresses
-from ._kernels.contact_forces import SLIP
+from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID, ROTATION
 from ._kernels.mode_slopes import slopes_along, speeds_along
 from .dense_step import DenseStep
@@ -46,6 +47,7 @@ class ModeSlopes(NamedTuple):
         rows: (m, 2nv) of the velocities that vanish.
         inverse: (nv, nv) M⁻¹.
         slips: The contacts that slip.
+        at_bound: Whether the motion determines that friction which holds is at its bound.
     """
 
     acceleration: Array
@@ -53,6 +55,7 @@ class ModeSlopes(NamedTuple):
     rows: Array
     inverse: Array
     slips: tuple[Slip, ...]
+    at_bound: bool
 
 
 class SlopesWithin(NamedTuple):
@@ -146,7 +149,22 @@ class SlopesOfModes:
             rate, direction = work.contact_acceleration[k] + J @ change, work.slip_direction[k].copy()
             slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
         at_once = found.response[0], found.by_state[0, nv:], found.inverse[0]
-        return ModeSlopes(acceleration, *at_once, tuple(slips))
+        return ModeSlopes(acceleration, *at_once, tuple(slips), found.unique and self._at_bound())
+
+    def _at_bound(self) -> bool:
+        """Whether friction of the mode last evaluated that holds a contact or a joint is at its bound."""
+        work, start = self.dynamics.work, 0
+        margins, bounds = [], []
+        for mode, friction in zip(work.active_mode.tolist(), work.active_friction.tolist(), strict=True):
+            force = work.solution[start : start + (1 if mode == SLIP else 3)]
+            start += len(force)
+            if mode == STICK:
+                bounds.append(friction * force[2])
+                margins.append(bounds[-1] - np.hypot(*force[:2]))
+        dry = np.isfinite(work.scalar_lower) & (work.scalar_lower < 0.0)
+        bounds += work.scalar_upper[dry].tolist()
+        margins += (work.scalar_upper - np.abs(work.solution[start:]))[dry].tolist()
+        return any(b > 0.0 and abs(m) <= COMPUTED * b for m, b in zip(margins, bounds, strict=True))
 
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:

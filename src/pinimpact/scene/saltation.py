@@ -79,9 +79,16 @@ class Saltation:
             return self.cross(x, before, first, impacts)
         if first.closed is None:
             return x
-        after = self.slopes.at(first, first.start)
+        after = self._begun(first)
         self._flag_rest(x, first, first.closed, after)
         return self._admitted(x, after)
+
+    def _begun(self, step: DenseStep) -> ModeSlopes:
+        """Return the slopes where a mode begins, flagged if its friction just holds, on one side only."""
+        slopes = self.slopes.at(step, step.start)
+        if slopes.at_bound:
+            self.boundary |= Boundary.STICK_THRESHOLD
+        return slopes
 
     def _admitted(self, x: Array, mode: ModeSlopes) -> Array:
         """Return changes at a start, projected on those that what is closed there admits."""
@@ -164,7 +171,7 @@ class Saltation:
         minus = self.slopes.at(before, t)
         dry = before.closed.sliding if before.closed is not None else np.zeros(work.nv)
         sliding = after.closed.sliding if after.closed is not None else np.zeros(work.nv)
-        plus = self.slopes.at(after, after.start)
+        plus = self._begun(after)
         count = work.contacts + work.limits
         closes = (modes[:count] == 0) & (later[:count] != 0)
         rates = np.append(before.at(t)[1], minus.acceleration), np.append(after.v, plus.acceleration)
