@@ -115,6 +115,17 @@ def test_a_box_lands_on_a_corner_and_slides_or_turns_over_it(friction, restituti
     assert any(interval.mode in ("slip", "stick") for interval in run.modes) or run.impacts
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.004])
+def test_a_sampled_control(delay):
+    """It is asked at the start too, before the first step."""
+    model = box()
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.2, 0.3, 0.2, 0.1]))
+    v = np.array([0.5, 0.2, -0.3, 0.2, 0.1, 0.3])
+    scene = Scene(model, corners(0.3, 0.4), control=swings, period=0.013, delay=delay)
+    run, _ = agrees(scene, q, v, 0.12, 2e-3)
+    assert run.impacts
+
+
 @pytest.mark.parametrize("height", [0.5 * 9.81 * 0.1**2, 0.0503])
 def test_a_ball_that_bounces_in_a_step_or_at_its_end(height):
     # steps are exact in free fall: [[1, t], [0, 1]], and [[−e, 0], [−(1 + e) g/v, −e]] at the impact

@@ -401,6 +401,8 @@ class Sensitivities:
         taken, reached = step.taken, before.taken if k > 0 else None
         x, boundary = self._starts[-1] if k > 0 else (slopes.initial(), Boundary.NONE)
         self._refuse(called)
+        if self._held is not None and k == 0:  # asked before the events at the start
+            self._held.ask(step.start, step.q, struck[0].v_before if struck else step.v, x)
         self._hold(max(k - 1, 0))
         saltation, steps = slopes.saltation, slopes.steps
         saltation.boundary = steps.boundary = boundary
