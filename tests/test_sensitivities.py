@@ -30,6 +30,7 @@ from pinimpact.geometry._kernels.constants import KIND
 
 from .robot_cases import FRAMES, load
 from .scene_models import unbounded
+from .test_step_derivatives import box, corners
 
 EXACT = {"rtol": 1e-12, "atol": 1e-14, "scheme": "event-driven"}
 FREE = {"without": ("joint limits",)}
@@ -806,9 +807,14 @@ def test_friction_that_just_holds_is_flagged(friction):
     joint = mass.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
     mass.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
     mass.friction[:] = 9.81 * friction / 0.2
-    for scene in (Scene(point("block"), block), Scene(mass)):
-        n = scene.model.nv
-        run = simulate(scene, np.zeros(n), np.zeros(n), 0.1, sensitivities="state")
+    model, level = box(), pin.neutral(box())
+    level[2] = 0.15
+    model.gravity.linear = np.array([-0.2 * 9.81, 0.0, -9.81])
+    scenes = [
+        (Scene(one, contacts), np.zeros(one.nq)) for one, contacts in ((point("block"), block), (mass, ()))
+    ]
+    for scene, q in [*scenes, (Scene(model, corners(friction, 0.0)), level)]:
+        run = simulate(scene, q, np.zeros(scene.model.nv), 0.1, sensitivities="state")
         assert (Boundary.STICK_THRESHOLD in run.sensitivity(0.1).boundary) == (friction == 0.2)
 
 

@@ -47,7 +47,7 @@ class ModeSlopes(NamedTuple):
         rows: (m, 2nv) of the velocities that vanish.
         inverse: (nv, nv) M⁻¹.
         slips: The contacts that slip.
-        at_bound: Whether the motion determines that friction which holds is at its bound.
+        at_bound: Whether friction that holds is at its bound.
     """
 
     acceleration: Array
@@ -149,10 +149,13 @@ class SlopesOfModes:
             rate, direction = work.contact_acceleration[k] + J @ change, work.slip_direction[k].copy()
             slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
         at_once = found.response[0], found.by_state[0, nv:], found.inverse[0]
-        return ModeSlopes(acceleration, *at_once, tuple(slips), found.unique and self._at_bound())
+        return ModeSlopes(acceleration, *at_once, tuple(slips), self._at_bound(found.unique))
 
-    def _at_bound(self) -> bool:
-        """Whether friction of the mode last evaluated that holds a contact or a joint is at its bound."""
+    def _at_bound(self, unique: bool) -> bool:
+        """Whether friction of the mode last evaluated that holds a contact or a joint is at its bound.
+
+        All of it if the motion does not determine it: what is at its bound alone leaves its load to others.
+        """
         work, start = self.dynamics.work, 0
         margins, bounds = [], []
         for mode, friction in zip(work.active_mode.tolist(), work.active_friction.tolist(), strict=True):
@@ -164,7 +167,8 @@ class SlopesOfModes:
         dry = np.isfinite(work.scalar_lower) & (work.scalar_lower < 0.0)
         bounds += work.scalar_upper[dry].tolist()
         margins += (work.scalar_upper - np.abs(work.solution[start:]))[dry].tolist()
-        return any(b > 0.0 and abs(m) <= COMPUTED * b for m, b in zip(margins, bounds, strict=True))
+        holds = [abs(m) > COMPUTED * b for m, b in zip(margins, bounds, strict=True) if b > 0.0]
+        return not all(holds) if unique else len(holds) > 0 and not any(holds)
 
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:
