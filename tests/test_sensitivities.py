@@ -818,6 +818,32 @@ def test_friction_that_just_holds_is_flagged(friction):
         assert (Boundary.STICK_THRESHOLD in run.sensitivity(0.1).boundary) == (friction == 0.2)
 
 
+def test_what_touches_without_a_load_has_no_derivative_across():
+    """A ball that falls along a wall: a push away from it meets nothing, one towards it is stopped."""
+    wall = Contact("block centre", Plane(normal=(1.0, 0.0, 0.0)), 0.3)
+    for scheme in ("event-driven", "time-stepping"):
+        options = {"scheme": scheme, "sensitivities": ("state", "friction:block centre on plane")}
+        run = simulate(Scene(point("block"), wall), np.zeros(3), np.array([0, 0.3, 0.2]), 0.1, **options)
+        found = run.sensitivity(0.1)
+        assert np.isnan(found.state[:, [0, 3]]).any(axis=0).all()
+        assert np.isfinite(found.state[:, [1, 2, 4, 5]]).all()
+        assert found.boundary & (Boundary.GRAZING | Boundary.EVENTS_COINCIDE)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_rests_on_a_limit_falls_back_onto_it_whichever_that_is(scheme, sign):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -0.3, 0.3
+    model.gravity.linear = np.array([0.0, 0.0, sign * 9.81])
+    run = simulate(Scene(model), [0.3 * sign], [0.0], 0.1, scheme=scheme, sensitivities="state")
+    found = run.sensitivity(0.1)
+    assert np.allclose(found.state, 0.0, atol=1e-3)
+    assert Boundary.CLOSED in found.boundary
+
+
 def test_an_arm_of_a_micrometre_moves_like_one_of_a_metre():
     """Its velocities of 1 rad/s and their error are none of its tip, which closes with 1 µm/s."""
     found = []

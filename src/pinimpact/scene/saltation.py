@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import COMPUTED
 from ..arrays import Array, Bools, Integers
 from ..checks import finite_array, in_short
 from ..contact_space._kernels.tolerances import MISSED
@@ -81,7 +82,24 @@ class Saltation:
             return x
         after = self._begun(first)
         self._flag_rest(x, first, first.closed, after)
-        return self._admitted(x, after)
+        return self._without_load(x, after, first.closed, self._admitted(x, after))
+
+    def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet, admitted: Array) -> Array:
+        """Return changes x as they are admitted, undefined where they move what touches without a load.
+
+        Nothing closes it again after changes that open it, and others press it.
+        """
+        dynamics, nv = self._dynamics, len(x) // 2
+        pushes = np.abs(mode.response * dynamics.work.solution)
+        size = max(float(np.linalg.norm(self._model.gravity.linear)), dynamics.fastest(mode.acceleration))
+        rows = mode.rows[[k for k in self._gaps() if dynamics.fastest(pushes[:, k]) <= COMPUTED * size]]
+        if not closed.unique or self._bilateral.any() or len(rows) == 0:
+            return admitted
+        every, size_of = np.vstack([rows @ x, rows[:, nv:] @ x[:nv]]), np.abs(rows)
+        sizes = np.vstack([size_of @ np.abs(x), size_of[:, nv:] @ np.abs(x[:nv])])
+        moved = (np.abs(every) > REMAINS * sizes).any(axis=0)
+        admitted[:, moved] = self._undefined(admitted[:, moved], Boundary.GRAZING)
+        return admitted
 
     def _begun(self, step: DenseStep) -> ModeSlopes:
         """Return the slopes where a mode begins, flagged if its friction just holds, on one side only."""
@@ -119,7 +137,8 @@ class Saltation:
             end = row + (1 if mode == SLIP else 3)
             found += range(row if self._bilateral[i] else end - 1, end)
             row = end
-        return found + (row + np.flatnonzero(work.scalar_lower == 0.0)).tolist()
+        limits = (work.scalar_lower == 0.0) | (work.scalar_upper == 0.0)  # lower and upper ones
+        return found + (row + np.flatnonzero(limits)).tolist()
 
     def before(self, record: ImpactRecord, closed: ClosedSet | None) -> DenseStep:
         """Return a step that ends at an impact where a motion starts, nothing closed but what is held."""
