@@ -832,16 +832,17 @@ def test_what_touches_without_a_load_has_no_derivative_across():
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_rests_on_a_limit_falls_back_onto_it_whichever_that_is(scheme, sign):
+@pytest.mark.parametrize("dry", [0.0, 5.0])
+def test_what_rests_on_a_limit_falls_back_onto_it_whichever_that_is(scheme, sign, dry):
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -0.3, 0.3
-    model.gravity.linear = np.array([0.0, 0.0, sign * 9.81])
+    model.gravity.linear, model.friction[:] = np.array([0.0, 0.0, sign * 9.81]), dry
     run = simulate(Scene(model), [0.3 * sign], [0.0], 0.1, scheme=scheme, sensitivities="state")
     found = run.sensitivity(0.1)
     assert np.allclose(found.state, 0.0, atol=1e-3)
-    assert Boundary.CLOSED in found.boundary
+    assert found.boundary == Boundary.CLOSED
 
 
 def test_an_arm_of_a_micrometre_moves_like_one_of_a_metre():

@@ -164,7 +164,7 @@ class SlopesOfModes:
             if mode == STICK:
                 bounds.append(friction * force[2])
                 margins.append(bounds[-1] - np.hypot(*force[:2]))
-        dry = np.isfinite(work.scalar_lower) & (work.scalar_lower < 0.0)
+        dry = np.isfinite(work.scalar_lower) & np.isfinite(work.scalar_upper)
         bounds += work.scalar_upper[dry].tolist()
         margins += (work.scalar_upper - np.abs(work.solution[start:]))[dry].tolist()
         holds = [abs(m) > COMPUTED * b for m, b in zip(margins, bounds, strict=True) if b > 0.0]

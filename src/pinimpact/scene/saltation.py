@@ -85,10 +85,7 @@ class Saltation:
         return self._without_load(x, after, first.closed, self._admitted(x, after))
 
     def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet, admitted: Array) -> Array:
-        """Return changes x as they are admitted, undefined where they move what touches without a load.
-
-        Nothing closes it again after changes that open it, and others press it.
-        """
+        """Return changes x as they are admitted, undefined where they move what no load would close again."""
         dynamics, nv = self._dynamics, len(x) // 2
         pushes = np.abs(mode.response * dynamics.work.solution)
         size = max(float(np.linalg.norm(self._model.gravity.linear)), dynamics.fastest(mode.acceleration))
@@ -98,7 +95,8 @@ class Saltation:
         every, size_of = np.vstack([rows @ x, rows[:, nv:] @ x[:nv]]), np.abs(rows)
         sizes = np.vstack([size_of @ np.abs(x), size_of[:, nv:] @ np.abs(x[:nv])])
         moved = (np.abs(every) > REMAINS * sizes).any(axis=0)
-        admitted[:, moved] = self._undefined(admitted[:, moved], Boundary.GRAZING)
+        if moved.any():
+            admitted[:, moved] = self._undefined(admitted[:, moved], Boundary.GRAZING)
         return admitted
 
     def _begun(self, step: DenseStep) -> ModeSlopes:
@@ -137,7 +135,9 @@ class Saltation:
             end = row + (1 if mode == SLIP else 3)
             found += range(row if self._bilateral[i] else end - 1, end)
             row = end
-        limits = (work.scalar_lower == 0.0) | (work.scalar_upper == 0.0)  # lower and upper ones
+        lower, upper, load = work.scalar_lower, work.scalar_upper, np.abs(work.solution[row:])
+        friction = np.abs(np.where(np.isinf(lower), upper, lower))  # holds a joint that its limit does not
+        limits = (np.isinf(lower) != np.isinf(upper)) & ((friction == 0.0) | (load > friction))
         return found + (row + np.flatnonzero(limits)).tolist()
 
     def before(self, record: ImpactRecord, closed: ClosedSet | None) -> DenseStep:
