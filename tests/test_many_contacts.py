@@ -856,12 +856,13 @@ def test_no_restitution_is_the_limit_of_little_after_hundreds_of_events():
 
 
 @pytest.mark.parametrize("e", [0.0, 0.2])
-@pytest.mark.parametrize("tilting", [0.0, 1e-13, 1e-9, 1e-7, 1e-4, 1e-2])
+@pytest.mark.parametrize("tilting", [0.0, 1e-13, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-2])
 def test_a_jump_is_told_where_contacts_peak_together(e, tilting):
     # a body on four corners, higher at one end: of the two at the lower end the first to peak separates first
+    # if it peaks so much earlier that it has separated before the other one does: in a time of order e
     rows = np.zeros((12, 3))
     rows[2::3] = [(1, 0.13, -0.176), (1, -0.13, -0.176), (1, 0.13, 0.164), (1, -0.13, 0.164)]
-    inverse, flagged = np.diag([1, 1 / 0.007, 1 / 0.011]), e == 0.0 and tilting < 1e-6
+    inverse, flagged = np.diag([1, 1 / 0.007, 1 / 0.011]), e == 0.0 and tilting < 1e-3
     one, near, mirrored = (
         collide(rows, inverse, np.array([-1.0, rate, 0.0]), restitution=e)[0]
         for rate in (tilting, tilting + 1e-7, -tilting - 1e-7)

@@ -136,7 +136,8 @@ class ManySolution:
     def flags(self) -> Flag:
         """Special events of the impact.
 
-        For `Flag.NEAR_JUMP` the impact is solved again, with data that differ by 10⁻¹² and 10⁻⁶.
+        For `Flag.NEAR_JUMP` the impact is solved again, with data that differ by 10⁻¹² and 10⁻⁶, and with
+        e = 10⁻³ and 10⁻⁴ in place of zero.
         """
         works = self.story.works
         flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)

@@ -111,7 +111,30 @@ def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], ve
         moved = float(np.abs(run(nearby, False, **options).velocity - velocity).max())
         if moved > max(MISSED, SMOOTH * abs(change)) * size:
             return True
-    return False
+    return simultaneous == "propagate" and _jumps_at_zero(inputs, options, velocity, size)
+
+
+SMALL = (1e-3, 1e-4)
+"""Coefficients of restitution by which zero is replaced to look for a jump there; of smaller ones the course
+has too many events to follow."""
+
+NO_LIMIT = 0.3
+"""How much of the change with the larger of these is left with the smaller, at least, where there is a jump:
+a tenth, and rounding, where zero is a limit."""
+
+
+def _jumps_at_zero(inputs: ManyInputs, options: Mapping[str, Any], velocity: Array, size: float) -> bool:
+    """Return whether velocities (n, 3) after an impact with e = 0 are no limit e → 0, as far as is seen."""
+    none, moved, by_events = inputs.restitution == 0.0, [], {**options, "accuracy": 0.0}
+    if not none.any():
+        return False
+    for small in SMALL:
+        nearby = inputs._replace(restitution=np.where(none, small, inputs.restitution), law="energetic")
+        found = find_policy("propagate").run(nearby, False, **by_events)
+        if found.notes:  # not followed from event to event
+            return False
+        moved.append(float(np.abs(found.velocity - velocity).max()))
+    return moved[1] > max(10.0 * MISSED * size, NO_LIMIT * moved[0])
 
 
 LAST = 5
