@@ -215,3 +215,18 @@ def test_the_noted_accuracy_counts_what_still_approaches(monkeypatch):
         solution = solve_impact(ImpactProblem(w, start.reshape(-1, 3), 0.31174594, 0.0, "energetic"))
     noted = re.search(r"velocities to about (\S+) of the largest", solution.notes[-1])
     assert -solution.velocity[:, 2].min() <= float(noted[1]) * np.abs(start).max() < 1e-5
+
+
+def test_slip_that_passes_zero_within_rounding_stops_or_turns_there():
+    """Corners uneven by 1e-12 m let it pass zero within 1e-12 m/s, unseen in series from far away."""
+    x, y, z = 0.1187182426, 0.0771322297, 0.1960095608
+    uneven = 1e-12 * np.array([(0, 41, 20), (-5, -41, 21), (2, 48, 22), (-2, -43, 18)])
+    corners = np.array([(x, y, -z), (x, -y, -z), (-x, y, -z), (-x, -y, -z)]) + uneven
+    jacobian = np.vstack([np.hstack([np.eye(3), -pin.skew(corner)]) for corner in corners])
+    w = jacobian @ np.diag([1, 1, 1, 1 / 0.0147897096, 1 / 0.0175045897, 1 / 0.0066811340]) @ jacobian.T
+    u = np.array([0.1448181694, 0.1465365686, -1.0, -1.6785233896, 1.9581336529, 1.7952055105])
+    problem = ImpactProblem(w, (jacobian @ u).reshape(-1, 3), 0.93104874, 0.53177841, "energetic")
+    by_events = solve_impact(problem, simultaneous="propagate")
+    by_steps = _propagate_in_steps(many_inputs(problem), 1.0, False, 1e-9)
+    assert not by_events.notes
+    assert by_events.velocity == pytest.approx(by_steps.velocity, abs=3e-8)

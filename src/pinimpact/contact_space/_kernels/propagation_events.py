@@ -108,9 +108,10 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 uneven |= roots[j, 2] < NEVER
                 roots[j, 2] = NEVER
         elif state.tangent[j] == SLIPPING:
-            roots[j, 2], straight = _end_of_slip(state, series, h, reach, j, guard, work)
+            roots[j, 2], straight, least = _end_of_slip(state, series, h, reach, j, guard, work)
             if straight and roots[j, 2] < first:
                 degree = SHORT
+            first = min(first, least)
         for k in range(3):
             if roots[j, k] < first:
                 first = roots[j, k]
@@ -128,7 +129,9 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
 
 @inlined
 def _end_of_slip(state, series, h, reach, j, guard, work):
-    """Return when contact j stops to slip, `NEVER` for not in this step, and whether it runs straight there.
+    """Return when contact j stops to slip, whether it runs straight there, and when it passes zero closely.
+
+    Times are `NEVER` where that is not in this step.
 
     Args:
         state: The `State`.
@@ -148,18 +151,21 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
     time = _fall(guard, reach, 0.0, False, work)
     if time < NEVER:
         across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
-        return (time if abs(across) <= 10.0 * ROUNDOFF else NEVER), False
+        if abs(across) <= 10.0 * ROUNDOFF:
+            return time, False, NEVER
+        # it turns round there, which series from far away do not see
+        return NEVER, False, time if time > 0.0 else NEVER
     if not speed < STOPS or fresh == TIED:
-        return NEVER, False
+        return NEVER, False, NEVER
     along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
     near = speed <= REACH * h * -along  # else something else happens long before
     straight = along < 0.0 and near and across * speed <= ROUNDOFF * -along
     if fresh != 0:  # it has just begun
         straight = straight and speed < 0.5 * SLIP_SPEED
     if straight and _neglected(series, -speed / along) <= ROUNDOFF:
-        return -speed / along, True
+        return -speed / along, True, NEVER
     turns_back = fresh == 0 and speed < 10.0 * ROUNDOFF and across > 0.1 * along
-    return (0.0 if turns_back else NEVER), turns_back
+    return (0.0 if turns_back else NEVER), turns_back, NEVER
 
 
 @inlined
