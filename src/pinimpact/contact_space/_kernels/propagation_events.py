@@ -71,7 +71,8 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[k] = series.v[k, z]
             else:
                 guard[k] = -series.v[k, z]
-        roots[j, 0] = _fall(guard, reach, ROUNDOFF * strongest if mode == HELD else ROUNDOFF, crowded, work)
+        zero = ROUNDOFF * strongest if mode == HELD else ROUNDOFF
+        roots[j, 0] = _fall(guard, reach, zero, crowded, work)
         if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
             for k in range(ORDER):
                 guard[k] = (k + 1.0) * series.force[k + 1, z]
@@ -91,9 +92,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[0] += state.deepest[j]
             elif mode == HELD:
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
-            roots[j, 1] = _fall(
-                guard, reach, ROUNDOFF * strongest if mode == HELD else ROUNDOFF, crowded, work
-            )
+            roots[j, 1] = _fall(guard, reach, zero, crowded, work)
         if state.tangent[j] == STUCK:
             square = system.friction[j] * system.friction[j]
             for k in range(ORDER + 1):
