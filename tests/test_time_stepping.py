@@ -491,6 +491,21 @@ def test_patches_of_boxes_are_those_of_coals_distance_and_clipped_faces(alike):
     assert found > (600 if alike < 1.0 else 300)
 
 
+def test_faces_with_sides_in_one_plane_share_four_corners_wherever_they_are():
+    """The rounding of such sides is no crossing of their edges, which might be anywhere along them."""
+    rng, half = np.random.default_rng(3), np.array([0.3, 0.05, 0.025])
+    for _ in range(200):
+        turn, center = pin.exp3(rng.normal(size=3)), rng.normal(size=3)
+        lower = np.array([rng.uniform(-0.2, 0.2), 0.0, -0.125])  # as wide as the upper one
+        one, other = (turn, center, half), (turn, center + turn @ lower, np.array([0.05, 0.05, 0.1]))
+        corners = np.array([[x, y, 0.1] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
+        solids = (box(2.0 * size).at(axes, middle) for axes, middle, size in (one, other))
+        for points in (boxes_patch(one, other)[2], patch(*solids, 1e-2).points):
+            found = (points - other[1]) @ turn
+            order = np.lexsort(found.T[::-1].round(5))
+            np.testing.assert_allclose(found[order], corners, atol=1e-12)
+
+
 def redundant_problem(rng):
     """Return a box, or two in a row, on many points under a random load."""
     bodies, points = rng.integers(1, 3), rng.integers(4, 9)

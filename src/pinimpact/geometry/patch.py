@@ -112,11 +112,12 @@ def _on_face(
     polygon = a.vertices[a.shape.faces[int(np.argmax(facing))]] if len(facing) else a.vertices
     corners = b.vertices[b.shape.faces[face]]
     sides = cross(np.roll(corners, -1, axis=0) - corners, normal)
+    tolerance = COINCIDE * a.shape.reach
     for side, corner in zip(sides, corners, strict=True):
-        polygon = _clipped(polygon, side, float(side @ corner))
+        polygon = _clipped(polygon, side, float(side @ corner), tolerance * float(np.linalg.norm(side)))
         if not len(polygon):
             return None
-    apart = np.linalg.norm(polygon - np.roll(polygon, 1, axis=0), axis=1) > COINCIDE * a.shape.reach
+    apart = np.linalg.norm(polygon - np.roll(polygon, 1, axis=0), axis=1) > tolerance
     polygon = polygon[apart] if apart.any() else polygon[:1]
     points = polygon - a.shape.radius * normal
     gaps = points @ normal - plane
@@ -125,9 +126,7 @@ def _on_face(
         return None
     kinds = np.full(len(polygon), kind)
     if facing.max(initial=0.0) >= 1.0 - TIE:  # the faces are parallel: it does not matter which is clipped
-        of_a, of_b = (
-            _among(polygon, ends, normal, COINCIDE * a.shape.reach) for ends in (a.vertices, corners)
-        )
+        of_a, of_b = (_among(polygon, ends, normal, tolerance) for ends in (a.vertices, corners))
         kinds[~of_a] = PLANE
         kinds[of_b & ~of_a] = TIP_PLANE if kind == PLANE else PLANE
     points, gaps = points[near], gaps[near]
@@ -141,9 +140,13 @@ def _among(points: Array, others: Array, normal: Array, distance: float) -> Bool
     return np.asarray((np.linalg.norm(apart, axis=2) <= distance).any(axis=1))
 
 
-def _clipped(polygon: Array, outward: Array, offset: float) -> Array:
-    """Return the part of a polygon, a segment or a point on the inner side of a plane."""
+def _clipped(polygon: Array, outward: Array, offset: float, tolerance: float) -> Array:
+    """Return the part of a polygon, a segment or a point on the inner side of a plane.
+
+    What is beyond it by less than the tolerance lies in it: an edge along it crosses it nowhere.
+    """
     heights = polygon @ outward - offset
+    heights[(heights > 0.0) & (heights <= tolerance)] = 0.0
     inside = heights <= 0.0
     if inside.all():
         return polygon

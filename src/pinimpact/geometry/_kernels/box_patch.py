@@ -81,13 +81,20 @@ def facing_axis(a, n1, n2, n3):
     return axis, best
 
 
+@inlined
+def beyond(height, tolerance):
+    """Return a height over a side, none within the tolerance."""
+    return height if height > tolerance else min(height, 0.0)
+
+
 @external
-def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
+def clip_face(a, half_a, axis, side, b, half_b, face, up, tolerance, polygon):
     """Fill the corners of a face of A within the sides of a face of B; return how many there are.
 
     A corner is given along the two other axes of B, from its centre, as the height over the face, and by the
     line from it to the next corner: of A below `SIDE`, else of B. The faces are those of A's axis and of B's
-    axis `face`, on the sides ±1 `side` and `up`; polygon is (2 `MOST`, 4).
+    axis `face`, on the sides ±1 `side` and `up`. What is beyond a side by less than the tolerance [m] lies in
+    it: an edge along it crosses it nowhere. Polygon is (2 `MOST`, 4).
     """
     p, q, k, o = (axis + 1) % 3, (axis + 2) % 3, (face + 1) % 3, (face + 2) % 3
     other, count = np.empty((2 * MOST, 4)), 4
@@ -106,7 +113,8 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
         kept = 0
         for m in range(count):
             following = (m + 1) % count
-            now, then = sign * polygon[m, along_side] - bound, sign * polygon[following, along_side] - bound
+            now = beyond(sign * polygon[m, along_side] - bound, tolerance)
+            then = beyond(sign * polygon[following, along_side] - bound, tolerance)
             if now <= 0.0:
                 for e in range(4):
                     other[kept, e] = polygon[m, e]
@@ -283,13 +291,13 @@ def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, point
     reference. Other arguments are as in `clip_face`.
     """
     polygon = np.empty((2 * MOST, 4))
-    count = clip_face(a, half_a, axis, side, b, half_b, face, up, polygon)
+    tolerance = COINCIDE * math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2)
+    count = clip_face(a, half_a, axis, side, b, half_b, face, up, tolerance, polygon)
     if count == 0:
         return -1
     for e in range(3):
         normal[e] = up * b[3 * face + e]
     k, o, found = (face + 1) % 3, (face + 2) % 3, 0
-    tolerance = COINCIDE * math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2)
     cosine = abs(along(a, axis, normal[0], normal[1], normal[2]))
     for m in range(count):
         before, square = (m - 1 if m > 0 else count - 1), 0.0
