@@ -40,6 +40,23 @@ def test_a_stack_at_rest_for_a_minute_stands_and_bears_its_load():
     assert run.mode_at("floor 0 corner 1", 59.0) == "stick"
 
 
+@pytest.mark.parametrize("masses", [(1.0, 1e3), (1e3, 1.0), (1.0, 1e3, 1.0)])
+def test_what_is_far_heavier_than_what_it_stands_on_rests(masses):
+    """It crept sideways for ever while the contact problem of both was left at 10⁻⁵ of its velocities."""
+    scene = boxes(len(masses), (0.2, 0.2, 0.1), 1.0)
+    for k, mass in enumerate(masses):
+        scene.model.inertias[k + 1] = pin.Inertia.FromBox(mass, 0.2, 0.2, 0.1)
+    q0 = np.concatenate([[0.02 * k, -0.01 * k, 0.05 + 0.1 * k, *UP] for k in range(len(masses))])
+    run = step(scene, q0, np.zeros(6 * len(masses)), 10.0)
+    assert run.statistics["steps"] < 100
+    assert np.abs(run.q[-1] - q0).max() < 1e-10
+    assert not run.notes
+    for k in range(1, len(masses)):
+        names = [name for name in run.sources if name.split()[:2] == ["pair", str(k - 1)]]
+        force = sum(np.array(run.forces(name, 5.0)) for name in names)
+        np.testing.assert_allclose(force / (sum(masses[k:]) * G), [0.0, 0.0, 1.0], atol=1e-6)
+
+
 @pytest.mark.parametrize(("height", "part"), [(0.05, 1.0), (0.08, 1e-3), (0.12, 1e-3), (0.15, 1e-4)])
 def test_what_is_hit_wakes_with_what_rests_on_it(height, part):
     """A box slides into a stack of three at rest: as in steps in which nothing rests.
