@@ -203,6 +203,55 @@ def test_a_squeezed_cube_falls_as_newton_says_and_does_not_turn(part, numbering,
     assert np.abs(run.v[:, [0, 1, 3, 4, 5]]).max() < 1e-9
 
 
+def rack(turn, numbering, restitution):
+    """A ball of 1 m/s towards six that touch each other, seen from above; its velocities and the mirror."""
+    radius, model, shapes = 0.03, pin.Model(), pin.GeometryModel()
+    places = [
+        (-0.1, 0.0),
+        *((k * 3**0.5 * radius, (2 * j - k) * radius) for k in range(3) for j in range(k + 1)),
+    ]
+    order = range(7)[::numbering]
+    for ball in order:
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"ball {ball}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(0.2, radius), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        solid = coal.Sphere(radius)
+        shapes.addGeometryObject(pin.GeometryObject(f"ball {ball}_0", joint, pin.SE3.Identity(), solid))
+    unbounded(model)
+    model.gravity.linear = np.zeros(3)
+    contacts = [
+        Contact(geometry=f"ball {b}_0", plane=Shape(f"ball {a}_0"), restitution=restitution)
+        for a, b in itertools.combinations(order, 2)
+    ]
+    axes = pin.utils.rotate("z", turn)
+    q0 = np.concatenate([[*(axes @ [*places[ball], 0.0]), *UP] for ball in order])
+    v0 = np.zeros((7, 6))
+    v0[order.index(0), :3] = axes[:, 0]
+
+    def seen(v):
+        """Return the velocities of the balls, in the order of their places and axes of the rack."""
+        return (v.reshape(7, 6)[:, :3] @ axes)[np.argsort(order)]
+
+    return Scene(model, contacts, geometry=shapes), q0, v0.ravel(), seen
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.6, 3.8, 5.1])
+@pytest.mark.parametrize("numbering", [1, -1])
+@pytest.mark.parametrize("restitution", [0.9, 1.0])
+def test_a_rack_of_balls_breaks_as_its_mirror_image_in_both_schemes(turn, numbering, restitution):
+    """Balls at rest on which others strike feel each other in the impact, too."""
+    scene, q0, v0, seen = rack(turn, numbering, restitution)
+    breaks = []
+    for scheme in ("event-driven", "time-stepping"):
+        run = simulate(scene, q0, v0, 0.1, scheme=scheme)
+        after = seen(run.v[-1])
+        np.testing.assert_allclose(after.sum(axis=0), [1.0, 0.0, 0.0], atol=1e-9)
+        mirrored = after[[0, 1, 3, 2, 6, 5, 4]] * [1.0, -1.0, 1.0]
+        np.testing.assert_allclose(after, mirrored, atol=1e-9)
+        breaks.append(after)
+    np.testing.assert_allclose(*breaks, atol=1e-9)
+
+
 def test_a_pile_ends_at_rest_and_nothing_overlaps_on_the_way():
     # boxes that rock and turn fast: impulses at one corner drive others in
     count, size = 8, (0.2, 0.2, 0.1)

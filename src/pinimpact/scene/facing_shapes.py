@@ -137,6 +137,9 @@ class FacingShapes:
                 self._strike(self._box_pairs[p], self._ranges[p, 2] + k, found.normals[p], ends)
         for places in self._pairs:
             if self._rests[[places.pair.a.joint, places.pair.b.joint]].all():
+                for i in places.numbers[: places.used] if touching >= 0.0 else ():
+                    corner = places.corners[i]
+                    self._strike(places.pair, i, corner.normal, (corner.point, corner.other))
                 continue
             within = touching
             if touching < 0.0:
