@@ -77,7 +77,7 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
             raise InputError(
                 f"rim_points: {name!r} is a {type(solid).__name__.lower()}, whose smooth rims can "
                 "make contact with planes only; give rim_points=, the number of points of each "
-                "rim (for instance 24)",
+                "rim (for instance 24), to the Contact or Shape that names it",
                 value=None,
             )
         return hull(collision_shapes.shape_tips(shapes, found, rim_points).centres, name)
