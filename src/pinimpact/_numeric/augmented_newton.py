@@ -40,10 +40,7 @@ PATIENCE = 3
 """Iterations that do not halve the change after which they end."""
 
 FINER = 0.1
-"""Part of r that is used from an iteration on that does not halve the change."""
-
-FINEST = 3
-"""How often r is made finer: 1000 kg on 1 kg take twice, and smaller r cost digits."""
+"""Part of r used from an iteration on that does not halve the change, if the last such part has halved it."""
 
 SLOPE = 0.1
 """Largest slope at the end of a line search, relative to that at its start."""
@@ -364,7 +361,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
         now.scale[a] = 1.0 / math.sqrt(problem.mass[a, a])
     assign(w, begin)
     balanced = 0.1 * accuracy
-    lowest, reached, finer, slow = math.inf, 1.0, 0, 0
+    lowest, reached, before, slow = math.inf, 1.0, math.inf, 0
     for iteration in range(ITERATIONS):
         solve_compliances(problem, profile, r, x, balanced, now, system)
         if iteration == 0:
@@ -379,8 +376,8 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
         slow = slow + 1 if reached > 0.5 * lowest else 0
         if reached <= accuracy or (slow >= PATIENCE and reached <= STALLED):
             break
-        if slow > 0 and finer < FINEST:
-            finer, lowest, slow = finer + 1, math.inf, 0
+        if slow > 0 and lowest < 0.5 * before:
+            before, lowest, slow = lowest, math.inf, 0
             for a in range(n):
                 r[a] *= FINER
         lowest = min(lowest, reached)
