@@ -211,6 +211,12 @@ def test_what_cannot_be_asked_is_told():
     trajectory = simulate(scene, np.zeros(3), np.zeros(3), 0.1)
     with pytest.raises(pinimpact.UnknownNameError, match=r"no contact is called 'fot'.*'foot'"):
         trajectory.forces("fot", 0.0)
+    bounded = slider()
+    bounded.lowerPositionLimit[2], bounded.upperPositionLimit[2] = 0.0, 1.0
+    held = simulate(Scene(bounded, []), np.zeros(3), np.zeros(3), 0.1)
+    (name,) = (one for one in held.sources if one.endswith(" lower"))
+    with pytest.raises(pinimpact.UnknownNameError, match="joint_forces"):  # they are not zero
+        held.forces(name, 0.05)
     with pytest.raises(pinimpact.InputError, match="lies outside the trajectory"):
         trajectory.forces("foot", 0.2)
     with pytest.raises(pinimpact.InputError, match='"left" or "right"'):

@@ -227,10 +227,17 @@ class Trajectory:
         """Return which of the forces are a contact's; None if it can never touch."""
         if name in self._forces.contacts:
             return self._forces.contacts.index(name)
-        if name in self.sources:
+        labels = [contact.label for contact in self.contacts]
+        if name in labels:
             return None
+        if name in self.sources:
+            raise UnknownNameError(
+                f"contact: {in_short(name)} is a joint, its limit or its drive; their forces are those of "
+                "joint_forces",
+                value=name,
+            )
         raise UnknownNameError(
-            f"contact: no contact is called {in_short(name)}; {near_matches(name, self.sources)}", value=name
+            f"contact: no contact is called {in_short(name)}; {near_matches(name, labels)}", value=name
         )
 
     def _of_contact(
