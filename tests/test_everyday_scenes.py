@@ -126,22 +126,6 @@ def test_a_plank_that_falls_flat_onto_two_blocks_rises_without_turning(restituti
     assert len(run.impacts) == 8  # one for each corner of a touch
 
 
-@pytest.mark.parametrize("weight", [0.0, 1.0])
-@pytest.mark.parametrize("press", [1.0, 1e3])
-def test_a_box_that_is_pressed_by_far_more_than_its_weight_stays(press, weight):
-    """Its friction over the error of velocities is no gain of energy, without gravity either."""
-    size, mass = (0.1, 0.1, 0.2), 0.1
-    model, shapes = body("box", size, mass)
-    model.gravity.linear = np.array([0.0, 0.0, -weight * G])
-    wall = Contact(geometry="box_0", plane=Plane(), friction=0.5)
-    force = np.array([0.1 * press, 0, -press, 0, 0, 0])
-    scene, q0 = Scene(model, wall, geometry=shapes, control=lambda t, q, v: force), [0, 0, 0.1, *UP]
-    run = simulate(scene, q0, np.zeros(6), 1.0, scheme="event-driven")
-    np.testing.assert_allclose(run.q[-1], q0, atol=1e-10)
-    pressed = sum(run.forces(name, 0.5) for name in run.sources)
-    np.testing.assert_allclose(pressed[2], press + weight * mass * G, rtol=1e-9)
-
-
 def grippers(squeeze):
     """Two pairs of fingers about a cube: the second closes at 0.15 s, the first opens at 0.3 s."""
     model, shapes = body("cube", (0.05, 0.05, 0.05), 0.1)
