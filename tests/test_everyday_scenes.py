@@ -253,3 +253,19 @@ def test_a_pile_ends_at_rest_and_nothing_overlaps_on_the_way():
         worst = min([worst, *(gap(a, b).value for a, b in itertools.pairwise(placed))])
         worst = min([worst, *(one.vertices[:, 2].min() for one in placed)])
     assert worst > -1e-6
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+@pytest.mark.parametrize("press", [1.0, 1e3])
+def test_a_box_that_is_pressed_by_far_more_than_its_weight_stays(press, weight):
+    """Its friction over the error of velocities is no gain of energy, without gravity either."""
+    size, mass = (0.1, 0.1, 0.2), 0.1
+    model, shapes = body("box", size, mass)
+    model.gravity.linear = np.array([0.0, 0.0, -weight * G])
+    wall = Contact(geometry="box_0", plane=Plane(), friction=0.5)
+    force = np.array([0.1 * press, 0, -press, 0, 0, 0])
+    scene, q0 = Scene(model, wall, geometry=shapes, control=lambda t, q, v: force), [0, 0, 0.1, *UP]
+    run = simulate(scene, q0, np.zeros(6), 1.0, scheme="event-driven")
+    np.testing.assert_allclose(run.q[-1], q0, atol=1e-10)
+    pressed = sum(run.forces(name, 0.5) for name in (c.label for c in run.contacts))
+    np.testing.assert_allclose(pressed[2], press + weight * mass * G, rtol=1e-9)

@@ -36,9 +36,10 @@ GAINED = 10.0
 """Factor on the relative error of velocities: the part of the kinetic energy that friction may give."""
 
 ROLLING = 2.0
-"""Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
-grows with time and is no gain. A point that rolls has two of them, that of the body and that by its turning.
-In one step, friction may give what its own impulse does over that error."""
+"""Friction of what sticks and rolls, in parts of the weight and of what controls and drives press with: over
+the error of velocities it does work that grows with time and is no gain. A point that rolls has two of them,
+that of the body and that by its turning. In one step, friction may give what its own impulse does over that
+error."""
 
 
 def ended(instant: Instant, count: int) -> int:
@@ -123,7 +124,8 @@ class Progress:
         error = self._instant.error(state.v)
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
         rounding = 4.0 * math.ulp(max(abs(by_joints), abs(by_contacts)))  # of sums that grow step by step
-        too_much = gained > self._little + self._weight * ROLLING * error * until + rounding
+        pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())
+        too_much = gained > self._little + pressed * ROLLING * error * until + rounding
         too_much |= at_once > self._little + forces * error * (until - step.start) + rounding
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
         if too_much and gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
