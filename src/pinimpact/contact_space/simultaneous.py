@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .._numeric.tolerances import ROUNDING
+from .._numeric.tolerances import LITTLE, ROUNDING
 from ..checks import choice
 from ..errors import BoundReachedWarning
 from ._kernels.tolerances import BY_STEPS, MISSED
@@ -114,7 +114,7 @@ def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], ve
     return simultaneous == "propagate" and _jumps_at_zero(inputs, options, velocity, size)
 
 
-SMALL = (1e-3, 1e-4)
+SMALL = (LITTLE, 0.1 * LITTLE)
 """Coefficients of restitution by which zero is replaced to look for a jump there; of smaller ones the course
 has too many events to follow."""
 

@@ -304,6 +304,10 @@ class SceneDynamics:
         """Return the largest of velocities v (nv,) [m/s], see `joint_metres`."""
         return float(np.abs(self.work.joint_metres * v).max(initial=0.0))
 
+    def error(self, v: Array) -> float:
+        """Return the error of a step in a velocity (nv,) [m/s]."""
+        return float(self.work.atol + self.work.rtol * self.fastest(v))
+
     # ---- states
 
     def gaps_at(self, q: Array, v: Array) -> Array:

@@ -150,8 +150,8 @@ class ImpactJumps:
 
     def _begins_to_slip(self, record: ImpactRecord, matrices: ContactMatrices) -> bool:
         """Whether a contact slips in an impact and has not slipped before, but for the error of a step."""
-        work, rows = self.dynamics.work, matrices.jacobian[:2] / self.dynamics.work.joint_metres
-        error = work.atol + work.rtol * self.dynamics.fastest(record.v_before)
+        rows = matrices.jacobian[:2] / self.dynamics.work.joint_metres
+        error = self.dynamics.error(record.v_before)
         slow = np.hypot(*matrices.velocity(record.v_before)[:2]) <= error * np.abs(rows).sum(axis=1).max()
         return bool(slow) and all(segment.mode == "slip" for segment in record.solution.segments)
 

@@ -147,7 +147,7 @@ class Instant:
         """
         where, slow, work = self._where, self._slow, self.dynamics.work
         # an approach that the error of a step explains is no impact; modes take it away
-        work.least_approach = min(self.error(self.state.v), work.resting_speed)
+        work.least_approach = min(self.dynamics.error(self.state.v), work.resting_speed)
         where[:] = APART
         if arriving is not None:
             where[arriving] = ARRIVING
@@ -161,7 +161,7 @@ class Instant:
         jams = 0
         while True:
             q, v = self.state.q, self.state.v
-            parting = max(self.error(v), work.resting_speed)
+            parting = max(self.dynamics.error(v), work.resting_speed)
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
             self.rims.check(where, work.touching_gap)
             if self.crowds_refused and not resolved:
@@ -260,10 +260,6 @@ class Instant:
             "forces: an impact without collision."
         )
         return self._take_over_group(group)
-
-    def error(self, v: Array) -> float:
-        """Return the error of a step in a velocity (nv,) [m/s]."""
-        return self.dynamics.work.atol + self.dynamics.work.rtol * self.dynamics.fastest(v)
 
     def _closed(self, chosen: Integers) -> list[int]:
         """Return those of contacts and limits that are chosen and not held."""

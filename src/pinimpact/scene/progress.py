@@ -84,7 +84,7 @@ class Progress:
                 "give dry friction as the model's friction, which also holds joints at rest, and sample a "
                 "control that switches, with period="
             )
-        least = max(PROGRESS * fastest, self._instant.error(velocity))
+        least = max(PROGRESS * fastest, self._instant.dynamics.error(velocity))
         if not (moved > least or covered > STALLED * scale):
             return IrregularMotionError(
                 f"scene: {count} steps at t = {t:.6g} s without progress; the contact modes do not "
@@ -121,7 +121,7 @@ class Progress:
         at_once = max(by_joints - joints, by_contacts - contacts)
         if not gained > self._little:
             return
-        error = self._instant.error(state.v)
+        error = self._instant.dynamics.error(state.v)
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
         rounding = 4.0 * math.ulp(max(abs(by_joints), abs(by_contacts)))  # of sums that grow step by step
         pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())

@@ -118,7 +118,7 @@ class Saltation:
 
     def _flag_rest(self, x: Array, first: DenseStep, closed: ClosedSet, after: ModeSlopes) -> None:
         """Flag changes at a start that move what begins to slide there: derivatives are those of its side."""
-        work, nv, still = self._dynamics.work, len(x) // 2, self.error(first.v)
+        work, nv, still = self._dynamics.work, len(x) // 2, self._dynamics.error(first.v)
         slow = self.slopes.speeds(first, np.array([first.start]))[0] <= still
         begins = work.active_index[slow & (work.active_friction > 0.0)]
         joints = (closed.sliding != 0.0) & (work.joint_metres * np.abs(first.v) <= still)
@@ -202,7 +202,7 @@ class Saltation:
             over := rolls_over(self._dynamics.contacts, self._jumps.pairs, *robot, before, after)
         ) is not None:
             passing = float(over @ rates[0][: len(over)])
-            if not abs(passing) > SLOWEST * self.error(after.v):
+            if not abs(passing) > SLOWEST * self._dynamics.error(after.v):
                 return self._undefined(x, Boundary.GRAZING)
             x = x - np.outer(rates[0] - rates[1], over @ x[: len(over)] / passing)
         else:
@@ -294,7 +294,7 @@ class Saltation:
             self.boundary |= Boundary.LAST_BOUNCE
         active = (before | later | taking_part)[: work.contacts] | self._bilateral
         island = self._jumps.islands(active) if len(records) > 1 else np.zeros(nv, dtype=np.int64)
-        error = self.error(impacts[0].v_before)
+        error = self._dynamics.error(impacts[0].v_before)
         jumps = [self._jumps.of(record, modes[0]) for record in records]
         shifts, shifted = np.zeros_like(x), np.zeros(nv, dtype=bool)
         for jump in jumps:
@@ -403,10 +403,6 @@ class Saltation:
             contact = self._dynamics.contacts[parameter.contact]
             if getattr(contact, parameter.kind) in _BOUNDS[parameter.kind]:
                 self.boundary |= Boundary.BOUND
-
-    def error(self, v: Array) -> float:
-        """Return the error of a velocity that the tolerances allow [m/s]."""
-        return float(self._dynamics.work.atol + self._dynamics.work.rtol * self._dynamics.fastest(v))
 
 
 def _through_rest(

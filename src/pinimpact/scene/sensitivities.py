@@ -441,7 +441,7 @@ class Sensitivities:
         closed, begun = steps[k - 1].closed, steps[k].start
         if not isinstance(closed, ClosedSet) or closed is steps[k].closed or not closed.slips:
             return k
-        slow = SLOWEST * saltation.error(steps[k].v)
+        slow = SLOWEST * saltation.slopes.dynamics.error(steps[k].v)
 
         def slowed(step: DenseStep) -> Integers:
             speeds = saltation.slopes.speeds(step, np.array([step.end]))[0]

@@ -256,23 +256,15 @@ class StepSlopes:
         given = rows, (total, softer), (middle, known, length)
         moved = self._solve(taken, False, *given)
         self._refuse_ties(taken, moved, given)
-        self._refuse_landings(taken, moved, first)
+        self._refuse_landings(taken, moved)
         return moved
 
-    def _refuse_landings(self, taken: StepTaken, moved: _Moved, own: Array) -> None:
-        """Set changes by what only impacts have, as e, to NaN where something lands without one at e = 0.
-
-        That of the step itself (nv,), without impulses, and of gravity is less than half of the approach.
-        """
+    def _refuse_landings(self, taken: StepTaken, moved: _Moved) -> None:
+        """Set changes by what only impacts have, as e, to NaN where something lands without one at e = 0."""
         contacts, found = taken.rows.contacts, taken.found
-        normals = np.s_[2 : 3 * len(contacts) : 3]
-        least = max(
-            2.0 * taken.h * float(np.linalg.norm(self._model.gravity.linear)), self._work.resting_speed
-        )
-        slow = np.maximum(2.0 * np.abs(moved.rows.jacobian @ own), least)
-        lands = (found.u_start < -slow)[normals] & self._alike[contacts]
+        lands = found.fast[: len(contacts)] & self._alike[contacts]
         closes = (found.gap_end[: len(contacts)] < 0.0) & (len(taken.arriving) == 0)
-        lands &= closes | (found.impulse[normals] > 0.0)
+        lands &= closes | (found.impulse[2 : 3 * len(contacts) : 3] > 0.0)
         columns = np.isin(self._impacts, contacts[lands])
         if columns.any():
             self.boundary |= Boundary.JUMP

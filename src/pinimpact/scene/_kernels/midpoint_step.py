@@ -193,7 +193,7 @@ def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
         rows: The `StepRows`.
         acceleration: (nc + nh, 3) of contacts without contact forces [m/s²].
         free: (rows,) velocities at the end of the step without impulses.
-        found: The `StepResult`, with `u_start`; its `arrives` is filled.
+        found: The `StepResult`, with `u_start`; its `fast` and `arrives` are filled.
     """
     collides, u_start, arrives = system.collides, found.u_start, found.arrives
     nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
@@ -205,7 +205,8 @@ def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
         may = strikes if collides[number_of(work, rows, i)] else rows.gap[place] > 0.0
-        arrives[i] = may and u_start[row] < -max(work.resting_speed, 2.0 * own)
+        found.fast[i] = u_start[row] < -max(work.resting_speed, 2.0 * own)
+        arrives[i] = may and found.fast[i]
 
 
 @inlined

@@ -12,7 +12,7 @@ from ..._numeric.elimination import largest_of
 from ..._numeric.tolerances import ROUNDING
 from .contact_forces import FREE, HELD, SLIP, STICK
 from .force_evaluation import places_of_contacts
-from .lie_charts import add_turning, turn_axes, velocity_within
+from .lie_charts import add_turning, turn_axes
 from .step_rows import MeanForces, StepResult, StepRows, StepSystem
 from .workspace import SceneWorkspace
 
@@ -46,7 +46,7 @@ def scalar_modes(work, still, rows, found, dried):
 
 
 @inlined
-def dense_output(work, h, start, v_end, coefficients):
+def dense_motion(work, h, start, v_end, coefficients):
     """Fill the dense output of q and v: velocities linear in time, of free bodies in axes that stand still.
 
     In axes that turn with them theirs is the cubic with both rates. Arguments as of `report_step`.
@@ -60,7 +60,7 @@ def dense_output(work, h, start, v_end, coefficients):
         coefficients[0, c] = turn[c] = 0.5 * h * (start[c] + last[c])
         first_rate[c] = last[c] - start[c]
         coefficients[1, c] = -0.5 * h * first_rate[c]
-    velocity_within(charts, h, 1.0, start, v_end, ended)
+    turn_axes(charts, turn, last, ended)
     turn_axes(charts, turn, first_rate, last_rate)
     add_turning(charts, start, -h, first_rate)
     add_turning(charts, ended, -h, last_rate)
@@ -146,7 +146,7 @@ def report_step(work, h, still, start, v, system, rows, found, coefficients, for
     powers = np.zeros((4, 2))  # of control and drives, of joints, of sliding friction, of surfaces
     free_modes(work, system.rests)
     scalar_modes(work, still, rows, found, dried)
-    dense_output(work, h, start, found.v_end, coefficients)
+    dense_motion(work, h, start, found.v_end, coefficients)
     joint_powers(work, h, v, system.softened, found, dried, powers[:2])
     rounding = ROUNDING * largest_of(impulse, 0)
     contact_motion(work, h, still, rounding, rows, found, powers[2:], forces)

@@ -51,9 +51,9 @@ class StepRows(NamedTuple):
         impulse, u_start, u_end = np.empty((3, len(self.counts)))
         predicted, v_end = np.empty((2, nv))
         items = len(self.contacts) + len(self.limits)
-        arrives, gaps = np.empty(items, dtype=bool), np.empty(items)
+        (fast, arrives), gaps = np.empty((2, items), dtype=bool), np.empty(items)
         bent, course = np.empty(1, dtype=bool), np.empty((2, iterations, len(self.counts)))
-        return StepResult(impulse, u_start, u_end, arrives, predicted, v_end, gaps, bent, course)
+        return StepResult(impulse, u_start, u_end, fast, arrives, predicted, v_end, gaps, bent, course)
 
     @property
     def held_rows(self) -> Integers:
@@ -102,7 +102,8 @@ class StepResult(NamedTuple):
         impulse: (rows,) the impulses [N s].
         u_start: (rows,) velocities of the rows at the start [m/s], of joints see `joint_metres`.
         u_end: (rows,) those at the end.
-        arrives: (nc + nl,) what closes so fast that it has been apart: it has no impulse here.
+        fast: (nc + nl,) what closes so fast that it has been apart.
+        arrives: (nc + nl,) which of it has no impulse here.
         predicted: (nv,) the velocity with which forces were evaluated at the end.
         v_end: (nv,) the velocity at the end; both are in the axes of the midpoint.
         gap_end: (nc + nl,) the gaps at the end [m].
@@ -113,6 +114,7 @@ class StepResult(NamedTuple):
     impulse: Floats
     u_start: Floats
     u_end: Floats
+    fast: Flags
     arrives: Flags
     predicted: Floats
     v_end: Floats
