@@ -128,7 +128,7 @@ NUMBERS = [
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (tolerances.STEPS_GAIN, 1e-4, "add more than $10^{-4}$ of the kinetic energy of $v$"),
     (scene_impacts.CROWD, 16, "more than 16 contacts of more than five islands touch"),
-    (scene_impacts.FEW, 8, "with more than 8 contacts, and without collision, by events alone"),
+    (scene_impacts.FEW, 8, "is used for at most 8 contacts and not for impacts without collision"),
     (instant.ISLANDS, 5, "of more than five islands touch"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (tolerances.NUDGE, 2.0**-26, r"\max\bigl(2^{-26}\,|v_t|"),
