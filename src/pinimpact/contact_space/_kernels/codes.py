@@ -1,6 +1,6 @@
-"""Integers that the kernels speak: the values of `status.Status` and `status.Flag`, modes, phases, events.
+"""Integer codes in kernels: the values of `status.Status` and `status.Flag`, modes, phases, events.
 
-They are NumPy's, for numba takes Python's as literals and compiles a function again for each.
+They are NumPy integers because numba treats Python integers as literals and compiles a function for each.
 """
 
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ JAM, IMPACT_WITHOUT_COLLISION, SECOND_COMPRESSION, STICKS, SLIP_RESUMED, LOCKS, 
 ENERGY_CREATED, NEAR_JUMP, NEAR_STICK_THRESHOLD, SINGULAR_DELASSUS, SLIP_TURNS = _more
 
 NONE_YET = np.int64(0)
-"""Where a count begins."""
+"""Initial value of a count."""
 
 IN_SLIP, IN_STICK, IN_RESUMED_SLIP = _counting(3)
 """The mode of a row of the trace."""
@@ -35,14 +35,15 @@ COMPRESSION, RESTITUTION = _counting(2)
 """The phase of a row of the trace."""
 
 NO_EVENT, COMPRESSION_ENDS, LAW_MET, COMPRESSION_RESUMES, NEVER = _counting(5)
-"""What ends a move; NEVER: nothing ever will."""
+"""The event that ends a move; NEVER: no event ever follows."""
 
 VELOCITY, IMPULSE, WORK = _counting(3)
-"""What a law counts during restitution: v₃, the normal impulse, or the normal work."""
+"""The quantity that a law prescribes for restitution: v₃, the normal impulse, or the normal work."""
 
 OPEN, LOADING, RISING, SINKING, HELD = _counting(5)
-"""Modes of one of many contacts along the normal: apart; pressed deeper than ever since it closed; in elastic
-unloading; in elastic reloading; pressed without moving, for it restores nothing."""
+"""Normal modes at several contacts: open; loading to a new largest indentation; unloading; reloading up to
+the largest indentation; held at its peak with v₃ = 0, for e = 0."""
 
 FREE, SLIPPING, STUCK, BOUND = _counting(4)
-"""And in the plane: without friction; ...; held by friction, by all that it can give where BOUND."""
+"""Tangential modes at several contacts: no friction force; slipping; sticking; sticking with friction at its
+bound."""

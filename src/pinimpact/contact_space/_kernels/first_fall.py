@@ -1,4 +1,4 @@
-"""Where a polynomial first falls below zero; Bernstein's bounds see to it that no fall is passed over."""
+"""First zero crossing of a polynomial to negative values, bracketed by Bernstein coefficients."""
 
 from __future__ import annotations
 
@@ -33,10 +33,17 @@ def value_at(rows, i, degree, s):
 @declared(FLOATS, int, float, float, FLOAT_ROWS)
 @external
 def first_fall(c, degree, h, zero, rows):
-    """Return the first s in [0, h] from which on Σ c_k sᵏ is negative, `NEVER` if there is none.
+    """Return the first s in [0, h] at which Σ c_k sᵏ becomes negative, or `NEVER`.
 
-    Sizes up to `zero` count as zero at s = 0; there the next coefficients decide. There are degree + 1
-    coefficients; rows (4, degree + 1) are scratch.
+    No crossing is missed: non-negative Bernstein coefficients exclude one.
+
+    Args:
+        c: (degree + 1,) coefficients.
+        degree: Degree of the polynomial.
+        h: End of the interval.
+        zero: Values up to this size at s = 0 are taken as zero; the sign of the next coefficient then
+            decides.
+        rows: (4, degree + 1) scratch.
     """
     power, rest, left, right = rows[0], rows[1], rows[2], rows[3]
     largest, scale = 0.0, 1.0
@@ -57,7 +64,7 @@ def first_fall(c, degree, h, zero, rows):
             return NEVER
         if power[first] < 0.0:
             return 0.0
-    # a root at zero is taken out: what is left is positive there
+    # divide by a root at zero; the quotient is positive there
     n = degree - first
     lowest = power[first]
     for k in range(n + 1):
@@ -67,7 +74,7 @@ def first_fall(c, degree, h, zero, rows):
             lowest -= abs(power[k])
     if lowest >= 0.0:  # the first coefficient outweighs all others
         return NEVER
-    # Bernstein's coefficients: b_j = Σ_k C(j, k)/C(n, k) a_k
+    # Bernstein coefficients b_j = Σ_k C(j, k)/C(n, k) a_k
     binomial = 1.0
     for k in range(1, n + 1):
         binomial *= (n - k + 1.0) / k
@@ -77,11 +84,11 @@ def first_fall(c, degree, h, zero, rows):
             rest[j] += rest[j - 1]
     noise = NOISE * largest
     start, part = 0.0, 1.0
-    while True:  # rest: on [start, 1]; left and right: on the first part of it, and on what follows
+    while True:  # rest: coefficients on [start, 1]; left, right: on its first part and on the remainder
         for j in range(n + 1):
             right[j] = rest[j]
         lowest, changes = rest[0], 0
-        for r in range(n + 1):  # de Casteljau's scheme, which leaves the whole interval as it is
+        for r in range(n + 1):  # subdivision by de Casteljau's algorithm, unless the part is the whole
             left[r] = right[0] if part < 1.0 else rest[r]
             lowest = min(lowest, left[r])
             if r > 0 and (left[r] < 0.0) != (left[r - 1] < 0.0):
@@ -106,6 +113,7 @@ def first_fall(c, degree, h, zero, rows):
 
 @inlined
 def _bisect(c, n, low, high):
+    """Return the crossing of a polynomial of degree n in [low, high], where it is not yet negative."""
     for _ in range(80):
         middle = 0.5 * (low + high)
         if not low < middle < high:

@@ -1,4 +1,4 @@
-"""A plastic impact at many contacts: the least kinetic energy that impulses in their cones can leave."""
+"""Plastic impact at several contacts, by Coulomb's law or least kinetic energy. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -14,15 +14,20 @@ from ..._numeric.tolerances import ROUNDOFF, TINY
 from .tolerances import FOUND, MISSED, OPTIMAL
 
 SWEEPS = 100
-"""How often approaches at rest are taken away at most."""
+"""Largest number of Gauss–Seidel iterations that remove slow approaches."""
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @external
 def plastic_impulses(w, v, friction, given, impulse):
-    """Fill the impulses P (3n,) that minimise ½ Pᵀ W P + Pᵀ v, |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
+    """Minimize ½ Pᵀ W P + Pᵀ v subject to |P_t| ≤ μ P₃ and P₃ ≥ given. (14.6)
 
-    W is (3n, 3n), v (3n,) are velocities, friction (n,) μ, given (n,) least normal impulses, ≥ 0.
+    Args:
+        w: (3n, 3n) W [1/kg].
+        v: (3n,) velocities [m/s].
+        friction: (n,) μ.
+        given: (n,) least normal impulses, ≥ 0 [N s].
+        impulse: (3n,) is overwritten with P [N s].
     """
     n = len(friction)
     largest, stiffest = TINY, TINY
@@ -65,11 +70,17 @@ def plastic_impulses(w, v, friction, given, impulse):
 @declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
 def impulses_together(w, v, friction, given, stiffness, impulse):
-    """Fill the impulses (3n,) of Coulomb's law on impulses: what slides neither parts nor approaches. (14.7)
+    """Compute impulses that satisfy Coulomb's law, with sliding contacts at zero normal velocity. (14.7)
 
-    Of several impulses those in the limit of small compliances 1/k are taken, for stiffness k (n,); where
-    none are found, those of `plastic_impulses`, see there for other arguments. Returns what they miss
-    Coulomb's law by, in parts of the largest velocity.
+    If they are not unique, the limit of small compliances 1/κ is returned. If none is found, they are
+    those of `plastic_impulses`.
+
+    Args:
+        w, v, friction, given, impulse: As for `plastic_impulses`.
+        stiffness: (n,) κ; only ratios matter.
+
+    Returns:
+        The residual of Coulomb's law relative to the largest velocity.
     """
     n = len(friction)
     compliance = np.empty(n)
@@ -77,18 +88,19 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
         impulse[3 * i] = impulse[3 * i + 1] = 0.0
         impulse[3 * i + 2], compliance[i] = given[i], 1.0 / stiffness[i]
     none, rest, held = np.zeros(0), np.zeros((n, 2)), flags(n, False)
-    missed = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
-    if not missed <= FOUND:
+    residual = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
+    if not residual <= FOUND:
         plastic_impulses(w, v, friction, given, impulse)
-    return missed
+    return residual
 
 
 @inlined
 def come_to_rest(system, state, works):
-    """Take away approaches that are too slow to be seen, one after the other, by their normals alone.
+    """Remove negligible approaches by normal impulses, with Gauss–Seidel iterations.
 
-    A convex program is no use here: it knows the shift of (14.7), and so what sliding contacts are given,
-    to a part of the slip only.
+    Problem (14.7) would not do: its solver determines the shift s, and with it the normal velocity of sliding
+    contacts, only to a tolerance relative to the slip velocity, which can be much larger than these
+    approaches.
     """
     w, v = system.w, state.v
     for _ in range(SWEEPS):
@@ -108,17 +120,14 @@ def come_to_rest(system, state, works):
 
 @inlined
 def plastic_impulses_now(system, state, impulse):
-    """Fill the impulses (3n,) of a plastic impact from here on.
-
-    Where no impulses by Coulomb's law are found it loses as much energy as it can. (14.6)
-    """
+    """Compute the impulses (3n,) of a plastic impact that starts at the state; see `impulses_together`."""
     n = len(system.friction)
     impulses_together(system.w, state.v, system.friction, np.zeros(n), np.ones(n), impulse)
 
 
 @inlined
 def end_plastically(system, state, impulse, works):
-    """Add the impulses (3n,) of a plastic impact; return whether they stop all approaches."""
+    """Apply the impulses (3n,) of a plastic impact; return whether they stop all approaches."""
     w, v = system.w, state.v
     stopped = True
     for i in range(len(v)):

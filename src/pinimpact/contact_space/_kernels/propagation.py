@@ -1,7 +1,4 @@
-"""An impact at many contacts: forces that follow from indentations, along a clock that all share.
-
-(theory.md, section 14)
-"""
+"""Impact at several contacts by the LZB model, from event to event. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -28,32 +25,33 @@ def propagate(
     w, start, friction, restitution, stiffness, exponent, accuracy, most_steps, v, impulse, works, counts,
     rows, path,
 ):  # fmt: skip
-    """Resolve an impact at n contacts.
+    """Resolve an impact at n contacts from event to event. (14.1), (14.2)
 
     Args:
-        w: (3n, 3n) W.
-        start: (3n,) velocities before it.
+        w: (3n, 3n) Delassus matrix W [1/kg].
+        start: (3n,) pre-impact velocities [m/s].
         friction: (n,) μ.
-        restitution: (n,) e, of the energetic law.
-        stiffness: (n,) κ.
+        restitution: (n,) e of the energetic law.
+        stiffness: (n,) κ; only ratios matter.
         exponent: η, 1 or 3/2.
-        accuracy: Part of the velocities that a step may miss.
-        most_steps: A bound on the steps from one event to the next, and on all, per contact.
-        v: (3n,) takes the velocities after it.
-        impulse: (3n,) takes P.
-        works: (n, 3) takes the works of compression, restitution and friction.
-        counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, 1
-            since all was slow or plastic, 2 not: steps or events at their bound.
-        rows: (m, 5) takes contact, mode, phase, P₃ at start and end; (0, 5): not wanted.
-        path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
+        accuracy: Tolerance of a step, relative to the largest velocity.
+        most_steps: Largest number of steps between two events; `most_steps` n is the largest number of all.
+        v: (3n,) is overwritten with the post-impact velocities [m/s].
+        impulse: (3n,) is overwritten with P [N s].
+        works: (n, 3) is overwritten with the work of compression, restitution and friction [J].
+        counts: (5,) is overwritten with the numbers of steps, events, rows and points, and the reason of the
+            end: 0 nothing pressed or approaching, 1 negligible approach or plastic end, 2 too many steps or
+                events.
+        rows: (m, 5) is filled with contact, mode, phase, P₃ at start and end; m = 0: no trace.
+        path: (m, 6n + 1) is filled with the clock, velocities and impulses; m = 0: no path.
 
     Returns:
-        Whether the approach could be stopped, and what the answer misses: velocities that the impulses do not
-        make, in parts of the largest before it, friction beyond its cone, in parts of the strongest impulse,
-        or energy that they create, in parts of the works' sizes.
+        Whether all approaches could be stopped, and the relative residual. The residual is the largest of
+        |v − v⁻ − W P| over the largest pre-impact velocity, |P_t| − μ P₃ over the largest P₃, and the energy
+        created over the sum of absolute work.
     """
     n = len(friction)
-    order = _of_their_own(w, start, friction, restitution, stiffness)
+    order = _canonical_order(w, start, friction, restitution, stiffness)
     places = np.empty(3 * n, dtype=np.int64)
     scale = most = mobility = 0.0
     for j in range(n):
@@ -80,14 +78,14 @@ def propagate(
         *(system, new_state(u, p), new_series(ORDER, n), np.empty((n, 3)), np.empty((5, ORDER + 1))),
         *(accuracy, most_steps, own_works, counts, rows, path),
     )
-    missed = gained = size = 0.0
+    residual = gained = size = 0.0
     made = before.copy()
     for i in range(3 * n):
         for k in range(3 * n):
             made[i] += own_w[i, k] * p[k]
-        missed = max(missed, abs(u[i] - made[i]))
+        residual = max(residual, abs(u[i] - made[i]))
         stopped = stopped and math.isfinite(u[i]) and math.isfinite(p[i])
-    if missed > ROUNDING:  # what has been set to zero at many events adds up
+    if residual > ROUNDING:  # velocities set to zero at many events add up
         u = made
     strongest = outside = 0.0
     for j in range(n):
@@ -97,19 +95,19 @@ def propagate(
             gained += own_works[j, k]
             size += abs(own_works[j, k])
             works[order[j], k] = own_works[j, k] * scale * scale / unit
-    missed = max(missed, outside / max(strongest, TINY))
+    residual = max(residual, outside / max(strongest, TINY))
     for i in range(3 * n):
         v[places[i]] = u[i] * scale
         impulse[places[i]] = p[i] * scale / unit
     _write_back(order, places, scale, scale / unit, rows[: counts[2]], path[: counts[3]])
-    return stopped, max(missed, gained / max(size, TINY))
+    return stopped, max(residual, gained / max(size, TINY))
 
 
 @inlined
-def _of_their_own(w, v, friction, restitution, stiffness):
-    """Return an order (n,) of the contacts by what they are, so that nothing comes of how they are numbered.
+def _canonical_order(w, v, friction, restitution, stiffness):
+    """Return an order (n,) of the contacts by their data.
 
-    Where rounding decides, as at ties, sums in another order decide otherwise.
+    The result then does not depend on their numbering: the order of sums can decide ties by rounding.
     """
     n = len(friction)
     keys, order = np.empty((n, 9)), np.empty(n, dtype=np.int64)
@@ -128,15 +126,15 @@ def _of_their_own(w, v, friction, restitution, stiffness):
 
 @inlined
 def _make_consistent(w, v):
-    """Let tangential velocities that follow from others by W do so to rounding, where they nearly do.
+    """Make tangential velocities of redundant contacts consistent with W to rounding.
 
-    Those of contacts are differences of larger terms. Where contacts are redundant no impulse changes what
-    rounding leaves of that, and slip that should stop would continue with it. A Cholesky factorisation with
-    complete pivoting, W = L Lᵀ, finds which velocities are dependent: v₂ = L₂₁ L₁₁⁻¹ v₁.
+    Contact velocities are differences of larger terms. No impulse changes the part of their rounding errors
+    in the null space of W, and slip that should stop would continue at that speed. A Cholesky factorisation
+    with complete pivoting, W = L Lᵀ, gives the dependent velocities v₂ = L₂₁ L₁₁⁻¹ v₁.
 
     Args:
         w: (m, m) W.
-        v: (m,) velocities, changed where they are dependent to `SLOW`.
+        v: (m,) velocities; tangential ones that satisfy the relation to `SLOW` are overwritten.
     """
     m = len(v)
     order, lower, y = np.empty(m, dtype=np.int64), np.zeros((m, m)), np.empty(m)
@@ -152,7 +150,7 @@ def _make_consistent(w, v):
 
 @inlined
 def _write_back(order, places, speed, impulse, rows, path):
-    """Bring rows (m, 5) and path (m, 6n + 1) into the numbering and the units of the problem."""
+    """Convert rows (m, 5) and path (m, 6n + 1) to the caller's numbering and units."""
     m = len(places)
     for row in range(len(rows)):
         rows[row, 0] = order[int(rows[row, 0])]
@@ -167,7 +165,7 @@ def _write_back(order, places, speed, impulse, rows, path):
 
 @inlined
 def _comes_first(keys, i, j):
-    """Return whether row i comes before row j where their first numbers differ."""
+    """Return whether row i precedes row j in lexicographic order."""
     for k in range(keys.shape[1]):
         if keys[i, k] != keys[j, k]:
             return keys[i, k] < keys[j, k]
@@ -176,7 +174,7 @@ def _comes_first(keys, i, j):
 
 @inlined
 def _system_of(w, friction, restitution, stiffness, exponent):
-    """Return the `System` of contacts with these coefficients (n,) of restitution."""
+    """Return the `System` of n contacts; arguments as in `propagate`."""
     n = len(friction)
     unloading = np.zeros(n)
     for j in range(n):

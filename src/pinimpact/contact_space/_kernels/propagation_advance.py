@@ -1,4 +1,4 @@
-"""A step of an impact at many contacts: its end, its works, and what is recorded. (theory.md, section 14)"""
+"""The end of a step of an impact at several contacts: state, work and records. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ from .tolerances import SLIP_SPEED, SLOW
 
 @inlined
 def time_power(k, h, pace, root):
-    """Return what the coefficient k of a force comes to in an impulse at the end of a step."""
+    """Return the factor of the force coefficient k in the impulse of a step: ∫ of its power of s or τ over s.
+
+    k = 0 gives the clock at the end of the step.
+    """
     if root:
         return 2.0 * pace * pace * power(h, k + 2) / (k + 2.0)
     return pace * power(h, k + 1) / (k + 1.0)
@@ -40,7 +43,7 @@ def time_power(k, h, pace, root):
 
 @inlined
 def _product(series, i, k):
-    """Return the coefficient k of the product of force and velocity at place i."""
+    """Return the coefficient k of the power of force component i (3n,)."""
     total = 0.0
     for m in range(k + 1):
         total += series.force[m, i] * series.v[k - m, i]
@@ -53,10 +56,19 @@ def _product(series, i, k):
 )
 @external
 def advance(system, state, series, h, degree, pace, root, parts, works, rows, used, latest):
-    """Go to the end of a step, with works and rows; return how many rows there are.
+    """Advance state, work and rows to the end of a step; return the number of rows.
 
     Args:
+        system: The `System`.
+        state: The `State`; is overwritten with that at the end of the step.
+        series: The `Series` of the step.
+        h, degree: Step size, in the variable of the series, and degree to which the series is evaluated.
+        pace: Time scale of the series.
+        root: Whether the series is in τ = √s.
         parts: (ORDER + 1,) scratch.
+        works, rows: As for `propagate`; the step is added.
+        used: Number of rows so far.
+        latest: (n,) index of the last row of each contact, or `NO_ROW`.
     """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
     parts, works, rows, latest = borrowed(parts), borrowed(works), borrowed(rows), borrowed(latest)
@@ -84,7 +96,7 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
                     state.impulse[i] += series.force[k, i] * part
             for i in range(x, z):
                 state.impulse[i] += series.beyond[POINTS - 1, i]
-            if state.normal[j] != HELD:  # it is what the spring takes
+            if state.normal[j] != HELD:  # the decrease of the spring's energy
                 normal_work = stored(system, j, state.indentation[j])
                 normal_work -= stored(system, j, value_at(series.indentation, j, degree, h))
                 normal_work /= rate(system, state.normal[j], j)
@@ -127,7 +139,7 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
 
 @inlined
 def record(path, points, clock, state):
-    """Append a point to the path, if there is room."""
+    """Append a point to the path, if it is not full; return the number of points."""
     if points < path.shape[0]:
         path[points, 0] = clock
         for i in range(len(state.v)):
@@ -139,7 +151,7 @@ def record(path, points, clock, state):
 
 @inlined
 def record_step(path, points, clock, series, state, h, degree, pace, root):
-    """Append the points of a step to the path, its end the last of them."""
+    """Append `POINTS` points of a step to the path, the last at its end; return the number of points."""
     m = len(state.v)
     for part in range(1, POINTS):
         if points < path.shape[0]:
@@ -157,8 +169,7 @@ def record_step(path, points, clock, series, state, h, degree, pace, root):
 
 
 STRAIGHT = np.int64(1)
-"""The degree of a series where nothing changes but indentations."""
-
+"""Degree of the series of a contact whose velocity is constant."""
 
 NO_ROW = np.int64(-1)
-"""Where a contact has no row yet."""
+"""Entry of `latest` for a contact without a row."""

@@ -19,31 +19,31 @@ from .propagation_advance import NO_ROW, advance, record, record_step, time_powe
 from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
-from .propagation_slow_slip import expand_slowly, missed_slowly
+from .propagation_slow_slip import expand_slowly, residual_at
 from .propagation_state import BEGUN, TIED, State, System, begin_to_slip, close, loads, open_contact, stored
 from .tolerances import AGREE, NEGLIGIBLE, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
-"""Order of the series that tells the pace of slips."""
+"""Order of the series from which the time scale of slip is estimated."""
 
 LONGEST = 1e3
-"""The longest step, in units of the pace."""
+"""The longest step, in units of the time scale `pace`."""
 
 STEP, EVENT, ROW, POINT, ENDED = 0, 1, 2, 3, 4
-"""Places in `counts`."""
+"""Indices of `counts`."""
 
 MOST_EVENTS = 200
-"""Events per contact, at most, in which what is left of the approach does not fall to a half."""
+"""Largest number of events per contact within which the fastest approach has to halve."""
 
 PATIENCE = 16
-"""Steps from one look for a slow motion to the next: as many as one look costs."""
+"""Steps between two attempts to step along the slow motion; an attempt costs about as much as 16 steps."""
 
 PARTS = 0.0, LITTLE
-"""Which turns of slip count as fast, in parts of the fastest: all that are, or those of the slowest slips."""
+"""Least rates of turning slip, over the fastest, that (14.5) takes as fast; tried in this order."""
 
 FEWEST, PLASTIC_EVENTS = 500, 4
-"""Events, and those per contact, after which it is first asked, where no contact restores anything, how an
-impact would end plastically. It does where it would have so at half as many events."""
+"""The plastic end is first computed after `FEWEST` + `PLASTIC_EVENTS` n events, if no contact has
+restitution, and again at every doubling. The impact ends if two successive results agree."""
 
 
 @declared(
@@ -51,11 +51,17 @@ impact would end plastically. It does where it would have so at half as many eve
 )
 @external
 def follow(system, state, series, roots, room, accuracy, most_steps, works, counts, rows, path):
-    """Go from event to event, with velocities of size one and κ W₃₃ ≤ 1; see `propagate`.
+    """Integrate the impact from event to event, with velocities scaled to one and κ W₃₃ ≤ 1.
 
     Args:
-        state: Before the impact; takes that after it.
-        series, roots, room: Scratch, for `expand` and `find_events`.
+        system: The `System`.
+        state: The `State` before the impact; is overwritten with that after it.
+        series: Scratch for `expand`.
+        roots, room: (n, 3), (5, ORDER + 1) scratch for `find_events`.
+        accuracy, most_steps, works, counts, rows, path: As for `propagate`.
+
+    Returns:
+        Whether all approaches could be stopped.
     """
     system, state, series, works = borrowed(system), borrowed(state), borrowed(series), borrowed(works)
     counts, rows, path = borrowed(counts), borrowed(rows), borrowed(path)
@@ -71,7 +77,7 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
             elif v[3 * j + 2] < -ROUNDOFF:
                 return False
     clock, at_once, slower, most_events = 0.0, 0, 0.5, MOST_EVENTS * n
-    left, ends, apart = np.zeros(3 * n), np.zeros(3 * n), math.inf
+    rest, ends, change = np.zeros(3 * n), np.zeros(3 * n), math.inf
     check = NONE_YET + FEWEST + PLASTIC_EVENTS * n
     counts[:] = 0
     counts[POINT] = record(path, NONE_YET, clock, state)
@@ -87,15 +93,15 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
             counts[POINT] = record(path, counts[POINT], clock, state)
             return True
         if plastic and counts[EVENT] >= check:
-            apart = max(apart, _moved_end(system, state, left, ends))
-            if apart <= AGREE:
+            change = max(change, _update_plastic_end(system, state, rest, ends))
+            if change <= AGREE:
                 counts[ENDED] = 1
-                ended = end_plastically(system, state, left, works)
+                ended = end_plastically(system, state, rest, works)
                 if ended:
                     counts[POINT] = record(path, counts[POINT], clock, state)
                 return ended
-            apart, check = 0.0, 2 * counts[EVENT]
-        if fastest <= slower:  # a series of impacts that dies out
+            change, check = 0.0, 2 * counts[EVENT]
+        if fastest <= slower:  # the impacts die out
             slower, most_events = 0.5 * fastest, counts[EVENT] + MOST_EVENTS * n
         if counts[ENDED] == 2 or counts[EVENT] >= most_events or counts[STEP] > most_steps * n:
             counts[ENDED] = 2
@@ -105,8 +111,8 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
             clock += time
             counts[EVENT] += 1
         unknown, inverse, weight = settle(system, state, series)
-        if not _ring(system, state, unknown, inverse, series):
-            at_once, clock = _go_to_event(
+        if not _separate_oscillating(system, state, unknown, inverse, series):
+            at_once, clock = _step_to_event(
                 *(system, state, series, (unknown, inverse, weight), scratch, accuracy, most_steps),
                 *(at_once, clock, works, counts, rows, latest, path),
             )
@@ -114,30 +120,25 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
 
 
 @inlined
-def _go_to_event(
+def _step_to_event(
     system, state, series, forces, scratch, accuracy, most_steps, at_once, clock, works, counts, rows, latest,
     path,
 ):  # fmt: skip
-    """Take steps up to the next event, and change the modes there.
+    """Take steps up to the next event and change the modes there.
 
     Args:
         system: The `System`.
-        state: The `State`.
-        series: Scratch for the series.
-        forces: Places of the unknown forces, the matrix that solves for them, and their weights.
-        scratch: Times of events, and two arrays of `find_events`.
-        accuracy: See `propagate`.
-        most_steps: See `propagate`.
-        at_once: How many events have followed each other at once.
-        clock: The time.
-        works: See `propagate`.
-        counts: (5,) numbers of steps, events, rows and points.
-        rows: See `propagate`.
-        latest: (n,) the last row of each contact.
-        path: See `propagate`.
+        state: The `State`; is overwritten with that after the event.
+        series: Scratch for `expand`.
+        forces: Indices of the unknown forces, the matrix that solves for them, and their weights.
+        scratch: The arguments `roots`, `guard`, `work` of `find_events`.
+        accuracy, most_steps, works, counts, rows, path: As for `propagate`.
+        at_once: Number of preceding events without a step in between.
+        clock: Internal clock s.
+        latest: (n,) index of the last row of each contact, or `NO_ROW`.
 
     Returns:
-        `at_once` and the time at the event.
+        `at_once` and the clock at the event.
     """
     unknown, inverse, weight = forces
     roots, guard, work = scratch
@@ -163,7 +164,7 @@ def _go_to_event(
             counts[ENDED] = 2
             return at_once, clock
         if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
-            _loaded_ends(state)
+            _open_locked(state)
             return at_once, clock
         crowded = at_once > 2 * len(state.normal)
         first, degree = find_events(system, state, series, h, NEGLIGIBLE / pace, crowded, roots, guard, work)
@@ -184,22 +185,25 @@ def _go_to_event(
 
 
 @inlined
-def _moved_end(system, state, left, ends):
-    """Fill the impulses (3n,) of a plastic end, and velocities `ends`; return by how much these change."""
-    plastic_impulses_now(system, state, left)
-    apart = 0.0
-    for i in range(len(left)):
+def _update_plastic_end(system, state, impulse, ends):
+    """Compute the plastic impulse (3n,) from here and the velocities `ends` (3n,) after it.
+
+    Both are overwritten. Return the largest change of `ends`.
+    """
+    plastic_impulses_now(system, state, impulse)
+    change = 0.0
+    for i in range(len(impulse)):
         end = state.v[i]
-        for k in range(len(left)):
-            end += system.w[i, k] * left[k]
-        apart = max(apart, abs(end - ends[i]))
+        for k in range(len(impulse)):
+            end += system.w[i, k] * impulse[k]
+        change = max(change, abs(end - ends[i]))
         ends[i] = end
-    return apart
+    return change
 
 
 @inlined
 def _fly(system, state, time):
-    """Let all contacts, which are open, move on for a time, at whose end the first of them close."""
+    """Advance open contacts by the time of flight and close those whose gap is then zero."""
     for j in range(len(state.normal)):
         state.indentation[j] -= time * state.v[3 * j + 2]
         if state.indentation[j] >= -ROUNDOFF and state.v[3 * j + 2] < -ROUNDOFF:
@@ -208,7 +212,7 @@ def _fly(system, state, time):
 
 @inlined
 def _expand_step(system, state, unknown, inverse, accuracy, series):
-    """Expand the series of a step; return its longest length, its pace, and whether it is one in √s."""
+    """Expand the series of a step; return the largest step size, its time scale, and whether it is in √s."""
     expand(system, state, unknown, inverse, FIRST, 1.0, series)
     pace = natural_pace(state, series)
     root = expand(system, state, unknown, inverse, ORDER, pace, series)
@@ -217,9 +221,10 @@ def _expand_step(system, state, unknown, inverse, accuracy, series):
 
 @inlined
 def _expand_onset(system, state, unknown, inverse, accuracy, series):
-    """Expand the series of a step with which slips begin together; return its longest length and its pace.
+    """Expand the series (14.14) of shared slip from rest; return the largest step size and its time scale.
 
-    The length is 0 where not all begin, ρ > 0, or where they do not reach the speed at which others begin.
+    The step size is 0 if a speed of slip does not exceed `SLIP_SPEED` within it. The contacts then begin to
+    slip one by one.
     """
     for i in range(len(state.v)):
         if state.fresh[i // 3] == TIED and i % 3 < 2:
@@ -237,7 +242,7 @@ def _expand_onset(system, state, unknown, inverse, accuracy, series):
 
 @inlined
 def _end_onset(state):
-    """Let slips that were to begin together, and have not moved, begin each by itself."""
+    """Start the slip of each `TIED` contact separately."""
     for j in range(len(state.fresh)):
         if state.fresh[j] == TIED:
             begin_to_slip(state, j)
@@ -245,23 +250,23 @@ def _end_onset(state):
 
 @inlined
 def _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed):
-    """Expand the series of a step of the slow motion; return its longest length, 0 for none, and its pace.
+    """Expand the series (14.5) of slow slip; return the largest step size, 0 for failure, and its time scale.
 
-    `allowed` is by how much velocities may not be those that forces make.
+    `allowed` is the tolerance of the residual of velocities.
     """
-    slow, missed = np.empty((ORDER + 2, len(state.v))), np.empty((ORDER + 2, len(state.v)))
+    slow, residual = np.empty((ORDER + 2, len(state.v))), np.empty((ORDER + 2, len(state.v)))
     for part in PARTS:
-        pace = expand_slowly(system, state, unknown, inverse, series, part, slow, missed)
+        pace = expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
         if pace > 0.0:
             h = _step_length(system, series, accuracy, pace, LONGEST)
-            if missed_slowly(missed, h) <= allowed:
+            if residual_at(residual, h) <= allowed:
                 return h, pace
     return 0.0, 1.0
 
 
 @inlined
 def _presses_and_slips(state):
-    """Return whether any contact is held and slips."""
+    """Return whether any contact is held at its peak and slips."""
     found = False
     for j in range(len(state.normal)):
         found = found or (state.normal[j] == HELD and state.tangent[j] == SLIPPING)
@@ -269,8 +274,8 @@ def _presses_and_slips(state):
 
 
 @inlined
-def _ring(system, state, unknown, inverse, series):
-    """Let held contacts oscillate about their new forces; return whether any of them separates. (14.12)"""
+def _separate_oscillating(system, state, unknown, inverse, series):
+    """Update the oscillation amplitudes of held contacts; return whether any contact separates. (14.12)"""
     n = len(state.normal)
     some = False
     for j in range(n):
@@ -301,7 +306,7 @@ def _ring(system, state, unknown, inverse, series):
 
 @inlined
 def _directions(state):
-    """Return the directions (2n,) of slip."""
+    """Return the directions (2n,) of slip; contacts at rest have that of `State.direction`."""
     unit = state.direction.copy()
     for j in range(len(state.normal)):
         speed = math.hypot(state.v[3 * j], state.v[3 * j + 1])
@@ -312,7 +317,7 @@ def _directions(state):
 
 @inlined
 def _loaded(state):
-    """Return whether any contact is pressed or approaches; where none is, open those at rest."""
+    """Return whether any contact is pressed or approaches; if none is, open all contacts."""
     n = len(state.normal)
     for j in range(n):
         if loads(state.normal[j]) and (state.indentation[j] > ROUNDOFF or state.v[3 * j + 2] < -ROUNDOFF):
@@ -325,7 +330,7 @@ def _loaded(state):
 
 @inlined
 def _at_rest(series, state):
-    """Return whether no velocity changes any more, and nothing is pressed on."""
+    """Return whether all velocities are constant and closed contacts have no normal velocity."""
     for j in range(len(state.normal)):
         if state.normal[j] != OPEN and abs(state.v[3 * j + 2]) > SLOW:
             return False
@@ -338,7 +343,7 @@ def _at_rest(series, state):
 
 @inlined
 def _fastest_approach(system, state):
-    """Return the speed at which any contact approaches, or can come to by what it has stored."""
+    """Return the largest speed of approach, including the one that stored energy could still cause."""
     fastest = 0.0
     for j in range(len(state.normal)):
         z = 3 * j + 2
@@ -350,8 +355,8 @@ def _fastest_approach(system, state):
 
 
 @inlined
-def _loaded_ends(state):
-    """Unload what is locked: friction holds it, and what it has stored stays there."""
+def _open_locked(state):
+    """Open the contacts that friction locks, at zero normal velocity; their stored energy is not released."""
     for j in range(len(state.normal)):
         if state.normal[j] != OPEN:
             state.v[3 * j + 2] = 0.0
@@ -360,7 +365,7 @@ def _loaded_ends(state):
 
 @inlined
 def _next_closing(state):
-    """Return the time of flight to the next contact that closes."""
+    """Return the time of flight until the next contact closes, or `NEVER`."""
     time = NEVER
     for j in range(len(state.normal)):
         v3 = state.v[3 * j + 2]
@@ -371,7 +376,7 @@ def _next_closing(state):
 
 @inlined
 def _step_length(system, series, accuracy, pace, h):
-    """Return how far the series reaches."""
+    """Return the step size, at most h, at which the last three terms of the series equal the accuracy."""
     n = len(system.friction)
     weight = 0.0
     for i in range(3 * n):
@@ -380,7 +385,7 @@ def _step_length(system, series, accuracy, pace, h):
         largest = 0.0
         for i in range(3 * n):
             largest = max(largest, abs(series.v[k, i]))
-            # forces that cancel each other in all velocities are not seen there
+            # self-equilibrated forces do not appear in the velocities
             largest = max(largest, LITTLE * weight * abs(series.force[k - 1, i]) * pace / k)
         for j in range(n):
             largest = max(largest, abs(series.indentation[k, j]))

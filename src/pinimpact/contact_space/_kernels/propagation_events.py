@@ -1,4 +1,4 @@
-"""The events of an impact at many contacts: where modes end, and what follows. (theory.md, section 14)"""
+"""Events of an impact at several contacts: their times and the changes of modes. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -29,12 +29,15 @@ from .propagation_state import (
 from .tolerances import NEGLIGIBLE, SAME, SLIP_SPEED, SLOW, STOPS
 
 REACH = 20.0
-"""Steps within which a slip that runs straight at zero is there."""
+"""Slip that would end only after more than this many step sizes is not tested for a straight end."""
 
 
 @inlined
 def _fall(c, h, zero, crowded, work):
-    """Return where a guard falls; from zero at once does not count where that has been so too often."""
+    """Return the first time in [0, h] at which a guard becomes negative, or `NEVER`.
+
+    `crowded` ignores guards that start at zero and are negative at once, to end a cascade of such events.
+    """
     time = first_fall(c, ORDER, h, zero, work)
     return NEVER if crowded and time <= 0.0 and c[0] >= -zero else time
 
@@ -45,7 +48,21 @@ def _fall(c, h, zero, crowded, work):
 )
 @external
 def find_events(system, state, series, h, tie, crowded, roots, guard, work):
-    """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
+    """Find the times in [0, h] at which the modes of contacts end.
+
+    Args:
+        system, state, series: The `System`, the `State` at the start of the step, and the `Series`.
+        h: Step size, in the variable of the series.
+        tie: Difference of times within which events are simultaneous.
+        crowded: Whether too many events have followed each other without a step.
+        roots: (n, 3) is overwritten with the times at which either of two normal guards and the tangential
+            guard cross zero; `NEVER` if not in the step.
+        guard, work: (ORDER + 1,), (4, ORDER + 1) scratch.
+
+    Returns:
+        The time of the first event, and the degree to which the series is evaluated up to there: `SHORT` for
+        slip that ends on a straight line.
+    """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
     roots, guard, work = borrowed(roots), borrowed(guard), borrowed(work)
     n = len(system.friction)
@@ -55,7 +72,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
         for k in range(2):
             strongest = max(strongest, abs(series.force[k, 3 * j + 2]))
     for j in range(n):
-        reach = min(h, first + tie)  # beyond it nothing matters
+        reach = min(h, first + tie)
         mode, x, y, z = state.normal[j], 3 * j, 3 * j + 1, 3 * j + 2
         for k in range(3):
             roots[j, k] = NEVER
@@ -128,38 +145,35 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
 
 @inlined
 def _end_of_slip(state, series, h, reach, j, guard, work):
-    """Return when contact j stops to slip, whether it runs straight there, and when it passes zero closely.
-
-    Times are `NEVER` where that is not in this step.
+    """Find the end of slip of contact j, or the time at which its slip velocity passes close to zero.
 
     Args:
-        state: The `State`.
-        series: Series of the motion.
-        h: Length of the step.
-        reach: Up to where it is looked for.
-        j: The contact.
-        guard: Scratch,
-        work: likewise.
+        reach: End of the search interval.
+        state, series, h, guard, work: As for `find_events`.
+
+    Returns:
+        The time of the end, whether slip is straight up to there, and the time of the close passage. Times
+        are `NEVER` if not in this step.
     """
     x, y, speed = 3 * j, 3 * j + 1, series.speed[0, j]
     ux, uy, fresh = series.unit[0, 2 * j], series.unit[0, 2 * j + 1], state.fresh[j]
     for k in range(ORDER + 1):
         guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
-    if fresh == TIED:  # it begins with s²
+    if fresh == TIED:  # v_t is of order s²
         guard[0] = guard[1] = 0.0
     time = _fall(guard, reach, 0.0, False, work)
     if time < NEVER:
         across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
         if abs(across) <= 10.0 * ROUNDOFF:
             return time, False, NEVER
-        # it turns round there, which series from far away do not see
+        # slip reverses there; a series from far away would not resolve that, so the step ends
         return NEVER, False, time if time > 0.0 else NEVER
     if not speed < STOPS or fresh == TIED:
         return NEVER, False, NEVER
     along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
-    near = speed <= REACH * h * -along  # else something else happens long before
+    near = speed <= REACH * h * -along
     straight = along < 0.0 and near and across * speed <= ROUNDOFF * -along
-    if fresh != 0:  # it has just begun
+    if fresh != 0:  # slip has just begun, at SLIP_SPEED
         straight = straight and speed < 0.5 * SLIP_SPEED
     if straight and _neglected(series, -speed / along) <= ROUNDOFF:
         return -speed / along, True, NEVER
@@ -169,7 +183,7 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
 
 @inlined
 def _neglected(series, h):
-    """Return what velocities change in a step beyond its short series."""
+    """Return the truncation error of velocities in a step by series of degree `SHORT`."""
     largest = 0.0
     for i in range(series.v.shape[1]):
         largest = max(largest, abs(series.v[SHORT + 1, i]))
@@ -178,7 +192,7 @@ def _neglected(series, h):
 
 @inlined
 def apply_events(system, state, series, roots, first, tie):
-    """Change the modes of contacts whose time has come."""
+    """Change the modes of contacts that have an event at the time `first`, or at most `tie` later."""
     now = first + tie
     before = state.tangent.copy()
     at_bound = False
@@ -189,15 +203,15 @@ def apply_events(system, state, series, roots, first, tie):
         state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
         normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
         mode = state.normal[j]
-        if mode in (LOADING, RISING, SINKING):  # at zero with what has come there, but for rounding
+        if mode in (LOADING, RISING, SINKING):  # v₃ is zero but for rounding
             normal = normal or abs(state.v[z]) <= ROUNDOFF < abs(series.v[0, z])
         if tangent and before[j] == SLIPPING:
             stick(state, j)
-            for other in range(len(system.friction)):  # a body that comes to rest does so at all its contacts
+            for other in range(len(system.friction)):  # a body comes to rest at all its contacts at once
                 speed = math.hypot(state.v[3 * other], state.v[3 * other + 1])
                 if state.tangent[other] == SLIPPING and state.fresh[other] == 0 and speed <= SLOW:
                     stick(state, other)
-        elif at_bound and before[j] == STUCK:  # with all that are as good as there
+        elif at_bound and before[j] == STUCK:  # together with contacts within `SAME` of their bounds
             fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
             length = math.hypot(fx, fy)
             bound = system.friction[j] * value_at(series.force, z, ORDER, first)

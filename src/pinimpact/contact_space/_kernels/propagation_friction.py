@@ -1,4 +1,4 @@
-"""Which of the contacts that do not slip hold, and which begin to: a convex program. (theory.md, 14)"""
+"""Stick or incipient slip of contacts at rest, by a convex program. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -38,32 +38,35 @@ from .propagation_state import (
 from .tolerances import AHEAD, NEGLIGIBLE, OPTIMAL, SAME, UNTURNED
 
 WEIGHED_AHEAD = 0.1
-"""How far ahead forces are weighed, where many can hold the same."""
-
+"""Clock ahead at which normal forces are evaluated as the weights of (14.4)."""
 
 WEIGHED_ORDER = np.int64(4)
-"""Order of the series that says so."""
-
+"""Degree of the series for these weights."""
 
 ROOM = 0.95
-"""Part of its bound that friction keeps to which is given without a look at what else would hold."""
-
+"""Fraction of the friction bounds up to which the solution (14.4) is accepted at once."""
 
 ROUNDS, SWEEPS = 50, 200
-"""Of friction and what is held in turn, and of what is held."""
+"""Largest numbers of alternations between friction and held forces, and of Gauss–Seidel iterations for the
+latter."""
 
 NEARBY = 1e-6
-"""Part of the largest of W that keeps friction near that of the round before, if several solutions leave as
-little power: without it rounding decides between them, and the rounds do not converge."""
+"""Regularization, relative to the largest entry of W, towards the friction of the previous round. Without it
+rounding selects among several solutions of (14.3), and the rounds do not converge."""
 
 
 @declared(System, State, Series, result=types.Tuple((INTEGERS, FLOAT_ROWS, FLOATS)))
 @external
 def settle(system, state, series):
-    """Bring the modes of contacts that do not slip, or are held, to what the forces ask for.
+    """Choose the modes of contacts that do not slip or are held. (14.3)
+
+    Args:
+        system: The `System`.
+        state: The `State`; its modes are updated.
+        series: Scratch.
 
     Returns:
-        The places of the unknown forces, the matrix that solves for them, and their weights.
+        The indices of the unknown forces, the matrix of `force_inverse`, and the weights of (14.4).
     """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
     n = len(system.friction)
@@ -102,7 +105,7 @@ def settle(system, state, series):
     if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
         return unknown, inverse, weight
     if _begin_at_bound(system, state, not root, unit, weight, series):
-        if shared:  # those that still stick may be the only ones that can
+        if shared:  # whether the remaining sticking contacts share friction may have changed
             mark_shared(system, state)
         return unknown_after(system, state, unit, weight)
     if shared and (fits or holds_now(system, state, p)):
@@ -120,21 +123,20 @@ def settle(system, state, series):
 
 @inlined
 def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
-    """Find what the other contacts do in the next moments, without those that stick or are held.
+    """Compute the forces a little ahead, without friction of sticking contacts and forces of held ones.
 
     Args:
-        system: The `System`.
-        state: The `State`.
-        series: Scratch for series.
+        system, state: The `System` and the `State`.
+        series: Scratch.
         stuck: (n,) 1 for contacts that do not slip.
-        held: (n,) 1 for what is held.
-        p: (3n,) zero; takes the forces of the others.
-        weight: (n,) zero; takes the normal forces, by which those that hold the same are weighed.
-        cap: (n,) takes the largest normal forces of what is held.
-        unit: (2n,) zero; takes directions of slip.
+        held: (n,) 1 for held contacts.
+        p: (3n,) zeros; is overwritten with the forces at `AHEAD`.
+        weight: (n,) zeros; is overwritten with the normal forces at `WEIGHED_AHEAD`.
+        cap: (n,) is overwritten with the largest normal forces of held contacts, inf for others.
+        unit: (2n,) zeros; is overwritten with the directions of slip.
 
     Returns:
-        Whether series are in √s.
+        Whether the series is in √s.
     """
     n, normal, tangent = len(weight), state.normal, state.tangent
     for j in range(n):
@@ -150,7 +152,7 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
         if held[j] == 1:
             normal[j] = HELD
     near, far = (math.sqrt(AHEAD), math.sqrt(WEIGHED_AHEAD)) if root else (AHEAD, WEIGHED_AHEAD)
-    if not root:  # a slip that has just begun turns long before
+    if not root:  # incipient slip turns much earlier
         near = min(near, UNTURNED * natural_pace(state, series))
     heaviest = 0.0
     for k in range(WEIGHED_ORDER, -1, -1):
@@ -176,10 +178,10 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
 
 @inlined
 def _begin_at_bound(system, state, smooth, unit, weight, series):
-    """Let contacts slip whose friction has come to its bound; return whether there are any.
+    """Start the slip of contacts whose friction has reached its bound; return whether there are any.
 
-    Of those that share it the ones do whose slip, v_t = s² ρ u, has ρ > 0 at its beginning; where none has,
-    each that is there by itself. (14.14)
+    Contacts that share friction begin together if v_t = s² ρ u has ρ(0) > 0, (14.14). Those with ρ(0) ≤ 0
+    stick again; if none remains, each begins to slip by itself.
     """
     n, found, tied = len(system.friction), False, 0
     for j in range(n):
@@ -213,7 +215,15 @@ def _begin_at_bound(system, state, smooth, unit, weight, series):
 
 @inlined
 def _fits(system, state, cap, unknown, forces, scale):
-    """Return whether forces are within their bounds, and nothing moves that they hold."""
+    """Return whether forces (3n,) are within their bounds and cancel the constrained accelerations.
+
+    Args:
+        system, state: The `System` and the `State`.
+        cap: (n,) largest normal forces of held contacts.
+        unknown: Indices in (3n,) of the constraint forces.
+        forces: (3n,) forces.
+        scale: The largest of them.
+    """
     for place in unknown:
         total = size = 0.0
         for i in range(len(forces)):
@@ -230,7 +240,7 @@ def _fits(system, state, cap, unknown, forces, scale):
 
 @inlined
 def _within_bounds(system, state, forces, part):
-    """Return whether friction that holds keeps within a part of its bounds."""
+    """Return whether friction of sticking contacts is within `part` of its bounds, and none is `BOUND`."""
     for j in range(len(system.friction)):
         if state.tangent[j] == BOUND:
             return False
@@ -243,13 +253,15 @@ def _within_bounds(system, state, forces, part):
 
 @inlined
 def _admit(system, state, unit, cap, p, forces):
-    """Find forces within their bounds that let nothing move that they can hold, and the modes they stand for.
-
-    Returns whether anything moves.
+    """Solve (14.3) and the held forces in turn, and set the modes; return whether any contact moves.
 
     Args:
-        p: (3n,) forces but for those of friction that holds, and of what is held.
-        forces: (3n,) takes them all.
+        system: The `System`.
+        state: The `State`; its modes are updated.
+        unit: (2n,) directions of slip.
+        cap: (n,) largest normal forces of held contacts.
+        p: (3n,) forces without friction of sticking contacts and forces of held ones.
+        forces: (3n,) is overwritten with all forces.
     """
     w, friction = system.w, system.friction
     n = len(cap)
@@ -309,7 +321,7 @@ def _admit(system, state, unit, cap, p, forces):
 
 @inlined
 def _holding(system, state, forces):
-    """Return the contacts whose friction holds and matters, and the largest bound of friction."""
+    """Return the sticking contacts with a friction bound that is not negligible, and the largest bound."""
     n, strongest, count = len(system.friction), 0.0, 0
     for j in range(n):
         if state.tangent[j] == STUCK:
@@ -324,10 +336,15 @@ def _holding(system, state, forces):
 
 @inlined
 def _hold_plane(system, state, near, forces):
-    """Fill in the friction of contacts that do not slip, for known normal forces; return what it changes.
+    """Solve (14.3) for the friction of contacts that do not slip, at given normal forces.
 
-    Of all within their bounds, those at which the least power is left, and where several leave as little,
-    those next to the ones given, in parts of their bounds, if `near` is not 0. (14.3)
+    Args:
+        system, state: The `System` and the `State`.
+        near: Regularization towards the given friction, relative to the bounds and to W; 0 for none.
+        forces: (3n,) forces; the friction components of sticking contacts are overwritten.
+
+    Returns:
+        The largest change of a friction force, relative to the largest bound.
     """
     w, friction = system.w, system.friction
     n = len(friction)
@@ -371,7 +388,17 @@ def _hold_plane(system, state, near, forces):
 
 @inlined
 def _press_held(system, state, unit, cap, forces):
-    """Bring the forces of what is held within their bounds, for known friction; return what it changes."""
+    """Solve for the normal forces of held contacts within their bounds, by projected Gauss–Seidel iterations.
+
+    Args:
+        system, state: The `System` and the `State`.
+        unit: (2n,) directions of slip.
+        cap: (n,) upper bounds.
+        forces: (3n,) forces; those of held contacts are overwritten, with the friction of slipping ones.
+
+    Returns:
+        The largest change of a force, relative to the largest force.
+    """
     w = system.w
     n = len(cap)
     most, strongest = 0.0, TINY

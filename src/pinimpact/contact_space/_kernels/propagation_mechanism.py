@@ -1,8 +1,4 @@
-"""Slips of redundant contacts that begin together, as friction comes to all its bounds: one rigid motion.
-
-Velocities are L y s², with W = L Lᵀ in the tangential rows of the contacts that begin to slip, and slip
-directions u(0) = d. (theory.md, section 14)
-"""
+"""Incipient slip of redundant contacts as one rigid motion v_t = s² L y. (theory.md, section 14, (14.14))"""
 
 from __future__ import annotations
 
@@ -19,15 +15,15 @@ from .tolerances import NEGLIGIBLE
 
 
 class Mechanism(NamedTuple):
-    """The rigid motions of m contacts that begin to slip together, in r ≤ 2m coordinates y.
+    """Rigid motions v_t = L y of m slipping contacts; W = L Lᵀ in their tangential rows, r columns.
 
     Attributes:
         lower: (2m, 2m) L, in its first r columns.
-        order: (2m,) its pivots.
+        order: (2m,) row permutation of its pivoting.
         rank: (1,) r.
-        along, across: (m, 2m) rows L of velocities along the directions of slip, and across.
-        free: (2m, 2m) takes y to the part that has no velocities across where friction is.
-        turn: (2m,) the last coefficient of y, but for that part.
+        along, across: (m, 2m) rows of L in the directions of slip, and orthogonal to them (l_j).
+        free: (2m, 2m) projection of y onto motions that turn no slip direction of a contact with friction.
+        turn: (2m,) last coefficient of y without its projection by `free`.
     """
 
     lower: FloatRows
@@ -41,7 +37,7 @@ class Mechanism(NamedTuple):
 
 @inlined
 def new_mechanism(m):
-    """Return room for a mechanism of m contacts."""
+    """Return a `Mechanism` of m contacts, filled with zeros."""
     size = 2 * m
     return Mechanism(
         *(np.zeros((size, size)), np.zeros(size, dtype=np.int64), np.zeros(1, dtype=np.int64)),
@@ -51,11 +47,14 @@ def new_mechanism(m):
 
 @inlined
 def fill_mechanism(system, state, response, ties, force, mechanism):
-    """Fill a mechanism from the response (2m, 2m) of its contacts' velocities to their forces.
+    """Fill a mechanism.
 
     Args:
-        ties: (m,) the contacts.
+        system, state: The `System`, and the `State` with the directions of slip.
+        response: (2m, 2m) response of tangential accelerations to tangential forces at the contacts.
+        ties: (m,) indices of the contacts.
         force: (3n,) forces as slip begins.
+        mechanism: Is overwritten.
     """
     m, along, across = len(ties), mechanism.along, mechanism.across
     r = mechanism.rank[0] = factor(response, mechanism.order, mechanism.lower, NEGLIGIBLE)
@@ -69,7 +68,7 @@ def fill_mechanism(system, state, response, ties, force, mechanism):
             along[c, k], across[c, k] = lx * dx + ly * dy, ly * dx - lx * dy
             size = max(size, abs(lx), abs(ly))
         for k in range(r):
-            if abs(across[c, k]) <= NEGLIGIBLE * size:  # as where what it may slip along is given
+            if abs(across[c, k]) <= NEGLIGIBLE * size:
                 across[c, k] = 0.0
             weighted[c, k] = system.friction[j] * force[3 * j + 2] * across[c, k]
     count = r - least_norm(weighted, np.zeros(m), NEGLIGIBLE, np.empty(r), null)
@@ -80,14 +79,16 @@ def fill_mechanism(system, state, response, ties, force, mechanism):
 
 @inlined
 def turn_together(system, state, series, k, pace, ties, answers, mechanism):
-    """Find coefficients k of directions, and k − 1 of ρ. (14.14)
+    """Compute the coefficients k of slip directions and k − 1 of ρ. (14.14)
 
     Args:
-        k: Order, above zero.
-        pace: Unit of the clock.
-        ties: (m,) the contacts.
-        answers: (m, 3n) what a turn at each changes of the forces.
-        mechanism: Of these contacts.
+        system, state: The `System` and the `State`.
+        series: The `Series`; its coefficients k of directions and forces and k − 1 of `speed` are updated.
+        k: Order, at least 1.
+        pace: Time scale of the series.
+        ties: (m,) indices of the contacts.
+        answers: (m, 3n) change of the forces per angle of slip at each contact.
+        mechanism: The `Mechanism` of these contacts.
     """
     m, r, factor_k = len(ties), mechanism.rank[0], (k + 1.0) / pace
     speed, unit, force = series.speed, series.unit, series.force
@@ -97,11 +98,11 @@ def turn_together(system, state, series, k, pace, ties, answers, mechanism):
     for a in range(2 * m):
         right[a] = dot(system.w[3 * ties[a // 2] + a % 2], force[k])
     forward(mechanism.lower, mechanism.order, r, right, gained)
-    left = gained[:r]
+    unbalanced = gained[:r]
     for a in range(r):
-        y[a] = turn[a] + dot(mechanism.free[a, :r], left) / factor_k
+        y[a] = turn[a] + dot(mechanism.free[a, :r], unbalanced) / factor_k
     for a in range(r):
-        left[a] -= factor_k * y[a]
+        unbalanced[a] -= factor_k * y[a]
     for c in range(m):
         j = ties[c]
         dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
@@ -109,7 +110,7 @@ def turn_together(system, state, series, k, pace, ties, answers, mechanism):
         for i in range(k - 1):
             rho -= speed[i, j] * (unit[k - 1 - i, 2 * j] * dx + unit[k - 1 - i, 2 * j + 1] * dy)
         speed[k - 1, j] = rho
-        if not speed[0, j] > 0.0:  # it does not begin
+        if not speed[0, j] > 0.0:  # slip does not begin
             return
         total = 0.0
         for i in range(1, k):
@@ -117,10 +118,10 @@ def turn_together(system, state, series, k, pace, ties, answers, mechanism):
         known[c] = total / speed[0, j]
         push = system.friction[j] * force[0, 3 * j + 2]
         for a in range(r):
-            left[a] -= push * known[c] * across[c, a]
+            unbalanced[a] -= push * known[c] * across[c, a]
             for b in range(r):
                 stiff[a, b] += push / speed[0, j] * across[c, a] * across[c, b]
-    least_norm(stiff, left, NEGLIGIBLE, turn, np.empty((0, r)))
+    least_norm(stiff, unbalanced, NEGLIGIBLE, turn, np.empty((0, r)))
     for c in range(m):
         j = ties[c]
         x = dot(across[c, :r], turn) / speed[0, j] + known[c]

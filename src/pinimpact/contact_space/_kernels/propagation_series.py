@@ -1,6 +1,6 @@
-"""Power series of an impact at many contacts between two events. (theory.md, section 14)
+"""Power series of an impact at several contacts between two events. (theory.md, section 14)
 
-Everything is a series in the clock s, or, where a contact of Hertz's kind begins to load, in τ with s = τ².
+The variable is the clock s, or τ = √s where a Hertz contact begins to load.
 """
 
 from __future__ import annotations
@@ -21,22 +21,21 @@ from .propagation_state import TIED, State, System, friction_share, loads, rate
 from .tolerances import NEGLIGIBLE
 
 ORDER, SHORT = np.int64(24), np.int64(2)
-"""Of the series; what is left of it where a slip runs straight at zero."""
+"""Degree of the series, and of the one that is used where slip ends on a straight line."""
 
 POINTS = 4
-"""Points recorded on a step."""
+"""Number of points per step in a recorded path."""
 
 
 class Series(NamedTuple):
-    """Coefficients, the order along the first axis.
+    """Coefficients of power series of degree K; the first axis is the order.
 
     Attributes:
-        v, indentation, force: (K + 2, 3n), (K + 2, n), (K + 1, 3n).
-        speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| (of ρ where slip begins) and v_t/|v_t|.
-        power: (K + 2, n) of what is raised to the power η, and then of the power.
-        changes: (3n,) 1 for the velocities that change.
-        beyond: (POINTS, 3n) by how much impulses are beyond those of the forces at points of the step, see
-            `spread`.
+        v, indentation, force: (K + 2, 3n) v, (K + 2, n) δ, (K + 1, 3n) p.
+        speed, unit: (K + 1, n) |v_t|, or ρ of (14.14) for shared incipient slip; (K + 1, 2n) v_t/|v_t|.
+        power: (K + 2, n) δ^η.
+        changes: (3n,) 1 for velocities that are not constant.
+        beyond: (POINTS, 3n) impulses to be added to those of `force` at points of the step; see `spread`.
     """
 
     v: FloatRows
@@ -51,7 +50,7 @@ class Series(NamedTuple):
 
 @inlined
 def new_series(order, n):
-    """Return room for series up to an order."""
+    """Return a `Series` of a degree for n contacts, filled with zeros."""
     return Series(
         np.zeros((order + 2, 3 * n)),
         np.zeros((order + 2, n)),
@@ -66,7 +65,7 @@ def new_series(order, n):
 
 @inlined
 def bounded_unknowns(system, state):
-    """Return the places in (3n,) of the forces that follow from velocities that do not change."""
+    """Return the indices in (3n,) of constraint forces: sticking friction, normal forces of held contacts."""
     n = len(system.friction)
     places = np.empty(3 * n, dtype=np.int64)
     count = 0
@@ -83,15 +82,16 @@ def bounded_unknowns(system, state):
 
 @inlined
 def force_inverse(system, state, unit, unknown, weight, inverse):
-    """Fill the matrix that takes the accelerations at the unknown forces to them, negative.
+    """Compute the matrix that maps accelerations at the unknown forces to the forces that cause them. (14.4)
 
-    Where they are not unique they are those of least Σ|f|²/weight.
+    If these are not unique, those of least Σ|f|²/weight are taken.
 
     Args:
+        system, state: The `System` and the `State`.
         unit: (2n,) directions of slip.
-        unknown: (m,) places.
+        unknown: (m,) indices in (3n,) of the unknown forces.
         weight: (n,) sizes of forces, ≥ 0.
-        inverse: (m, m) takes the result.
+        inverse: (m, m) is overwritten with the matrix.
     """
     w = system.w
     m = len(unknown)
@@ -122,7 +122,11 @@ def force_inverse(system, state, unit, unknown, weight, inverse):
 
 @inlined
 def unknown_after(system, state, unit, weight):
-    """Return the places of the unknown forces, the matrix that solves for them, and their weights."""
+    """Return the indices of the unknown forces, the matrix of `force_inverse`, and `weight`.
+
+    Contacts at their friction bounds, or whose slip has just begun, get their direction in `unit` (2n,) from
+    `State.direction`.
+    """
     for j in range(len(system.friction)):
         if state.tangent[j] == BOUND or state.fresh[j] != 0:
             unit[2 * j], unit[2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
@@ -135,13 +139,18 @@ def unknown_after(system, state, unit, weight):
 @declared(System, State, INTEGERS, FLOAT_ROWS, int, float, Series, result=bool)
 @external
 def expand(system, state, unknown, inverse, order, pace, series):
-    """Fill the series of the motion from a state on, as long as its modes last.
+    """Compute the power series of the motion from a state on, for constant modes.
 
     Args:
-        pace: Unit of the clock that the coefficients are for; see `natural_pace`.
+        system, state: The `System` and the `State`.
+        unknown: (m,) indices in (3n,) of the unknown forces.
+        inverse: (m, m) matrix of `force_inverse`.
+        order: Degree of the series.
+        pace: Time scale: the variable is s/pace, or √s/pace.
+        series: Is overwritten with the coefficients.
 
     Returns:
-        Whether they are in τ, s = τ².
+        Whether the variable is √s/pace.
     """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
     friction = system.friction
@@ -175,12 +184,14 @@ def expand(system, state, unknown, inverse, order, pace, series):
 
 @inlined
 def forces_of_order(system, state, series, k, root, closed):
-    """Fill the coefficients k of directions of slip and of forces but for those of what holds.
+    """Compute the coefficients k of slip directions and of forces, without constraint forces.
 
     Args:
-        k: The order; velocities and indentations are known up to it.
-        root: Whether series are in τ.
-        closed: The contacts that have forces.
+        system, state: The `System` and the `State`.
+        series: The `Series`; velocities and indentations are known up to order k.
+        k: The order.
+        root: Whether the series is in τ.
+        closed: Indices of the contacts that have forces.
     """
     friction, force, unit = system.friction, series.force, series.unit
     hertz = system.exponent != 1.0
@@ -214,7 +225,7 @@ def forces_of_order(system, state, series, k, root, closed):
 
 @inlined
 def what_changes(system, state, rates):
-    """Fill the rates (n,) of indentations; return which contacts have forces, and where slip begins."""
+    """Fill the rates ρ (n,) of (14.2), 0 for held contacts; return the closed and the `TIED` contacts."""
     n = len(rates)
     closed, ties = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     pressed = count = 0
@@ -231,11 +242,12 @@ def what_changes(system, state, rates):
 
 @inlined
 def hold(system, state, unit, unknown, inverse, fixed, force):
-    """Add to forces (3n,) those at which what is held or stuck does not accelerate.
+    """Add the constraint forces that cancel the accelerations of held and sticking contacts.
 
     Args:
-        unit: (2n,) directions of slip.
+        system, state, unit, unknown, inverse: As for `force_inverse`.
         fixed: (m,) scratch.
+        force: (3n,) other forces; the constraint forces are added.
     """
     w = system.w
     for a in range(len(unknown)):
@@ -258,7 +270,10 @@ def hold(system, state, unit, unknown, inverse, fixed, force):
 
 @inlined
 def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answer):
-    """Fill what a turn of a slip that begins changes of the forces (3n,), with what is held."""
+    """Compute the change of all forces per angle of the slip of contact j.
+
+    `force` (3n,) are the forces, `answer` (3n,) is overwritten; other arguments as for `hold`.
+    """
     push = system.friction[j] * force[3 * j + 2]
     for i in range(len(answer)):
         answer[i] = 0.0
@@ -269,7 +284,7 @@ def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answe
 
 @inlined
 def find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, mechanism):
-    """Set up the rigid motions with which slips begin together, with what is held."""
+    """Compute the `Mechanism` of the contacts `ties` under active constraints; arguments as for `hold`."""
     size = 2 * len(ties)
     response, answer = np.empty((size, size)), np.empty(len(force))
     for b in range(size):
@@ -284,7 +299,7 @@ def find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, me
 
 @inlined
 def _known_direction(state, series, k, j):
-    """Fill the part of coefficient k of a direction that lower ones give; v_t = s² ρ u, u(0) = d."""
+    """Compute the part along u(0) of coefficient k of a slip direction u, from |u| = 1; v_t = s² ρ u."""
     unit = series.unit
     if k == 0:
         unit[0, 2 * j], unit[0, 2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
@@ -298,11 +313,13 @@ def _known_direction(state, series, k, j):
 
 @inlined
 def natural_pace(state, series):
-    """Return a unit of the clock in which slow slip turns slowly, so that no coefficient overflows.
+    """Return a time, at most 1, in which slip velocities change by no more than ten times their size.
+
+    With this time scale no coefficient overflows.
 
     Args:
-        state: Where the motion is.
-        series: Of order 1 in the clock itself, from there on.
+        state: The `State`.
+        series: A `Series` of degree 1 or more with time scale 1.
     """
     pace = 1.0
     for j in range(len(state.tangent)):
@@ -316,7 +333,7 @@ def natural_pace(state, series):
 
 @inlined
 def integrate(system, rates, series, k, pace, root):
-    """Fill the coefficients k + 1 of velocities and indentations."""
+    """Compute the coefficients k + 1 of velocities and indentations from coefficients k of forces. (14.1)"""
     w = system.w
     n = len(system.friction)
     v, indentation, force = series.v, series.indentation, series.force
@@ -324,11 +341,11 @@ def integrate(system, rates, series, k, pace, root):
     for i in range(3 * n):
         v[k + 1, i] = 0.0
     if source >= 0:
-        for a in range(3 * n):  # W is symmetric, and many are open
+        for a in range(3 * n):  # W is symmetric, and many forces are zero
             push = force[source, a]
             if push == 0.0:
                 continue
-            if 4 * system.filled_count[a] < 3 * n:  # as in a row of balls
+            if 4 * system.filled_count[a] < 3 * n:  # sparse, as for a row of balls
                 for place in range(system.filled_count[a]):
                     i = system.filled[a, place]
                     v[k + 1, i] += w[a, i] * push
@@ -346,7 +363,7 @@ def integrate(system, rates, series, k, pace, root):
 
 @inlined
 def _direction(series, k, j):
-    """Fill the coefficients k of |v_t| and v_t/|v_t|."""
+    """Compute the coefficients k of |v_t| and v_t/|v_t|."""
     v, speed, unit = series.v, series.speed, series.unit
     x, y = 3 * j, 3 * j + 1
     if k == 0:
@@ -370,12 +387,12 @@ def _direction(series, k, j):
 
 @inlined
 def _power(series, exponent, k, j, root):
-    """Return the coefficient k of δ^η, for δ > 0 or, in τ, for δ that begins with τ²."""
+    """Return the coefficient k of δ^η, for δ(0) > 0 or, in τ, for δ of order τ²."""
     indentation, power = series.indentation, series.power
     if indentation[0, j] > 0.0:
         _next_power(indentation, power, exponent, k, j, 0)
         return power[k, j]
-    if indentation[2, j] <= 0.0 or k < 3:  # at rest so far: what it comes to is far below rounding
+    if indentation[2, j] <= 0.0 or k < 3:  # without approach, δ^η is far below rounding
         return 0.0
     _next_power(indentation, power, exponent, k - 3, j, 2)
     return power[k - 3, j]
@@ -383,7 +400,7 @@ def _power(series, exponent, k, j, root):
 
 @inlined
 def _next_power(base, power, exponent, k, j, shift):
-    """Fill the coefficient k of (Σ base_{i+shift} xⁱ)^η, by J.C.P. Miller's recurrence."""
+    """Compute the coefficient k of (Σ base_{i+shift} xⁱ)^η, by J.C.P. Miller's recurrence."""
     if k == 0:
         power[0, j] = base[shift, j] ** exponent
         return

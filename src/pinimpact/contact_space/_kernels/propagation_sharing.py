@@ -1,8 +1,7 @@
-"""Friction that redundant contacts share: how long it holds, how slip begins, and who bears what.
+"""Friction shared by redundant sticking contacts: its limit, incipient slip and distribution.
 
-What contacts that stick, with W = L Lᵀ in their tangential rows, hold against is b = −Lᵀf; how they share it
-changes nothing of the motion. They can hold while b·d ≤ Σ μ_j F_j |L_j d| for every d, a velocity in the
-columns of L. (14.13)
+With W = L Lᵀ in the tangential rows of these contacts, friction f balances the load b = −Lᵀf while
+b·d ≤ Σ μ_j F_j |L_j d| for every d. (theory.md, section 14, (14.13))
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ from .propagation_state import NOT_SHARED, SHARED, loads
 from .tolerances import NEGLIGIBLE
 
 COARSE, FINER = 0.1, 0.01
-"""The first creep for which (14.10) is solved, and the factor to the next, down to `NEGLIGIBLE`."""
+"""Largest ε for which (14.10) is solved, and the factor to the next one, down to `NEGLIGIBLE`."""
 
 CLEAR = 1e-6
-"""Acceleration beyond the limit, in parts of the largest bound, from which on it is known what slips."""
+"""Acceleration, over the largest friction bound, above which the slipping contacts are reliably known."""
 
 APPROACHES, TURNS = 30, 8
-"""Mechanisms from which the limit is approached, and steps of Newton's method at it, at most."""
+"""Largest numbers of directions d that approach the limit, and of iterations of Newton's method at it."""
 
 FIRM = 1e-2
-"""Part of the largest of LᵀL from which on impulses of creep are corrected by what they miss, beside which
-a correction is small; where it is less, creep is what moves, by a part `NEGLIGIBLE`."""
+"""Eigenvalue of LᵀL, relative to the largest, above which impulses of creep are corrected so that they do not
+change velocities. The correction is small there; below, creep changes velocities by `NEGLIGIBLE` only."""
 
 LOOKS = 6
-"""How often in a step it is looked whether friction still holds."""
+"""Number of points of a step at which (14.13) is tested."""
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 NODES, WEIGHTS = 0.5 + 0.5 * NODES, 0.5 * WEIGHTS
@@ -45,7 +44,7 @@ NODES, WEIGHTS = 0.5 + 0.5 * NODES, 0.5 * WEIGHTS
 
 @inlined
 def mark_shared(system, state):
-    """Mark the contacts that stick where they can hold in several ways; return whether they can."""
+    """Mark the sticking contacts if their friction is not unique; return whether this is so."""
     n, count = len(system.friction), 0
     for j in range(n):
         if state.tangent[j] == STUCK:
@@ -63,7 +62,7 @@ def mark_shared(system, state):
 
 @inlined
 def _shared_rows(system, state):
-    """Return the contacts (m,) that stick, and rows L (3m, r) of their velocities, W = L Lᵀ in the plane."""
+    """Return the sticking contacts (m,), and L (3m, r) with zero normal rows; W = L Lᵀ in tangential rows."""
     n, count = len(system.friction), 0
     at = np.empty(n, dtype=np.int64)
     for j in range(n):
@@ -85,7 +84,7 @@ def _shared_rows(system, state):
 
 @inlined
 def holds_now(system, state, p):
-    """Return whether friction of the contacts that stick can hold against the other forces p (3n,)."""
+    """Return whether friction of the sticking contacts can balance the other forces p (3n,). (14.13)"""
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]
     bound, load, push = np.empty(m), np.empty(r), np.zeros(3 * m)
@@ -99,10 +98,14 @@ def holds_now(system, state, p):
 
 @inlined
 def _creep(rows, bound, load, y, v):
-    """Find the acceleration y (r,) that is left, v (3m,) at the contacts, by (14.10); tell whether any moves.
+    """Compute the acceleration that friction cannot balance, by (14.10); return whether any contact moves.
 
-    They are given from nearby, or zero. The bounds (m,) and what is held against, (r,), are brought to parts
-    of the largest bound.
+    Args:
+        rows: (3m, r) L.
+        bound: (m,) friction bounds μF; is divided by the largest.
+        load: (r,) b; is divided by the largest bound.
+        y: (r,) initial guess; is overwritten with the acceleration.
+        v: (3m,) L y; likewise.
     """
     m, strongest = len(bound), TINY
     for c in range(m):
@@ -128,13 +131,13 @@ def _creep(rows, bound, load, y, v):
 
 @inlined
 def _slips(v, c):
-    """Whether what is left, v (3m,), moves a contact."""
+    """Return whether an acceleration v (3m,) moves contact c."""
     return math.hypot(v[3 * c], v[3 * c + 1]) >= NEGLIGIBLE
 
 
 @inlined
 def _loads_of(system, at, rows, series, degree):
-    """Return the series (degree + 1, m) of the bounds, and (degree + 1, r) of what is held against."""
+    """Return the series (degree + 1, m) of the friction bounds, and (degree + 1, r) of the load b."""
     m, r = len(at), rows.shape[1]
     bounds, held = np.empty((degree + 1, m)), np.zeros((degree + 1, r))
     for k in range(degree + 1):
@@ -148,7 +151,7 @@ def _loads_of(system, at, rows, series, degree):
 
 @inlined
 def _creep_at(rows, bounds, held, degree, s, bound, load, y, v):
-    """Find what is left at s, see `_creep`."""
+    """Evaluate the series of `_loads_of` at s into `bound` and `load`, and return `_creep` of them."""
     for c in range(len(bound)):
         bound[c] = max(value_at(bounds, c, degree, s), 0.0)
     for k in range(len(load)):
@@ -158,10 +161,22 @@ def _creep_at(rows, bounds, held, degree, s, bound, load, y, v):
 
 @inlined
 def limit_of_holding(system, state, series, degree, reach, roots, work):
-    """Return until when shared friction holds, within a reach; `NEVER` if it does so beyond.
+    """Find the first time at which shared friction reaches its limit (14.13).
 
-    That time is in roots[j, 2] of the contacts j that begin to slip, in directions that the state takes. The
-    first s at which (14.13) fails for some d is found from beyond: the d of one s gives the next.
+    The time is approached from later times, at which (14.13) is violated: the direction d of the remaining
+    acceleration there gives the next, earlier time.
+
+    Args:
+        system: The `System`.
+        state: The `State`; receives the directions of incipient slip.
+        series: The `Series` of the step.
+        degree: Degree to which it is evaluated.
+        reach: End of the search interval.
+        roots: (n, 3); roots[j, 2] is overwritten with the time for contacts j that begin to slip.
+        work: (4, degree + 1) scratch.
+
+    Returns:
+        The time, or `NEVER` if it is later than `reach`.
     """
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]
@@ -181,7 +196,7 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
         return NEVER
     for approach in range(APPROACHES):
         if not _excess(bounds, held, degree, y, v, d, excess) > CLEAR and approach > 0:
-            break  # no more is known of who slips
+            break
         for c in range(m):
             slips[c] = _slips(v, c)
             for a in range(2):
@@ -203,7 +218,7 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
 
 @inlined
 def _excess(bounds, held, degree, y, v, d, excess):
-    """Fill the direction d of what is left, y, and the series of Σ μF|Ld| − b·d; return |y|."""
+    """Fill d = y/|y| and the series of Σ μF|Ld| − b·d, with L y = v (3m,); return |y|."""
     length = math.sqrt(dot(y, y))
     if not length > 0.0:
         return length
@@ -218,9 +233,16 @@ def _excess(bounds, held, degree, y, v, d, excess):
 
 @inlined
 def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
-    """Improve d (r,) and the s of a limit by Newton's method; return s.
+    """Refine d (r,) and s of the limit by Newton's method on the equations below (14.13); return s.
 
-    b(s) = Σ μF(s) Lᵀu(d) where it slips, + Σ Lᵀf where Ld = 0, in parts of the largest bound; |d| = 1.
+    Args:
+        rows: (3m, r) L.
+        bounds, held, degree: Series of `_loads_of`.
+        reach: Upper bound of s.
+        s: Initial guess.
+        d: (r,) initial guess with |d| = 1; is overwritten.
+        slips: (m,) whether a contact slips; Ld = 0 at others.
+        friction: (m, 2) friction at contacts that do not slip, over the largest bound.
     """
     m, r = len(slips), len(d)
     places, count = np.empty(m, dtype=np.int64), 0
@@ -296,10 +318,10 @@ def _slope_at(rows, i, degree, s):
 
 @inlined
 def spread(system, state, series, degree, h, pace, root):
-    """Fill `beyond` of the series: what impulses of shared friction are where (14.4) leaves the bounds.
+    """Fill `Series.beyond` with the redistribution of shared friction where (14.4) leaves the bounds.
 
-    They are those of creep, (14.10), at Gauss' nodes of a few parts of the step, less what would change
-    velocities.
+    The impulses are those of creep, (14.10), integrated by Gauss quadrature on `POINTS` parts of the step,
+    minus their part that would change velocities. Arguments as in `propagation_advance.advance`.
     """
     at, rows = _shared_rows(system, state)
     m, r = len(at), rows.shape[1]

@@ -1,8 +1,4 @@
-"""Slip that is far slower than its direction would turn: series of the slow motion. (theory.md, 14)
-
-Slip of 10⁻⁶ of the largest velocity, as where corners do not lie quite in a plane, turns in a clock of 10⁻⁶
-to where friction and the other forces are in equilibrium, and follows that from then on.
-"""
+"""Series of the slow motion, where friction turns slip into equilibrium fast. (theory.md, (14.5))"""
 
 from __future__ import annotations
 
@@ -35,27 +31,26 @@ from .propagation_series import (
 from .propagation_state import State, System, loads
 
 STIFF = 100.0
-"""How often slip would turn, at least, while the slow motion changes by as much as it is."""
+"""Least ratio of the rate at which slip turns to that of the slow motion, for coordinates that turn fast."""
 
 PASSES = 5
-"""Passes over the orders, at most: each divides what velocities miss by `STIFF` or more."""
+"""Largest number of passes over the orders; each divides the residual of velocities by `STIFF` or more."""
 
 REFINED = 2
-"""How often linear equations are solved: L is right to `NEGLIGIBLE`, forces then to rounding."""
+"""Number of solutions of each linear system, the second a refinement: L is accurate to `NEGLIGIBLE` only."""
 
 NEAR = 0.1
-"""Part of the speed of a slip by which the slow motion may be off it, where changes are left out."""
+"""Largest distance of the state from the slow motion after the first pass, over the slowest slip."""
 
 
 class Stiff(NamedTuple):
-    """The slips (m,) of a state, and how friction turns them, in coordinates (r,) of their `Mechanism`.
+    """Response of m slipping contacts to turns of slip, in the r coordinates y of their `Mechanism`.
 
     Attributes:
-        ties: (m,) the contacts.
-        answers: (m, 3n) what a turn of each changes of the forces.
-        matrix: (r, r) S: by how much friction slows down a change of velocities; Σ μF/|v_t| l lᵀ where no
-            contact is held and slips.
-        turned: (r, r) S without what it makes of slow velocities.
+        ties: (m,) indices of the contacts.
+        answers: (m, 3n) change of the forces per angle of slip at each contact.
+        matrix: (r, r) S of (14.5).
+        turned: (r, r) S projected onto the coordinates that turn fast.
         right, turn: (2m,) and (r,) scratch.
     """
 
@@ -69,20 +64,24 @@ class Stiff(NamedTuple):
 
 @declared(System, State, INTEGERS, FLOAT_ROWS, Series, float, FLOAT_ROWS, FLOAT_ROWS, result=float)
 @external
-def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
-    """Fill the series of the slow motion next to a state, where slip turns fast. (14.5)
+def expand_slowly(system, state, unknown, inverse, series, part, slow, residual):
+    """Expand the series of the slow motion next to a state. (14.5)
 
     Args:
-        part: Of the fastest turn, below which velocities are integrated, as elsewhere.
+        system, state: The `System` and the `State`.
+        unknown, inverse: As for `expand`.
+        series: Is overwritten with the series.
+        part: Rate of turning, relative to the fastest, below which coordinates are integrated as usual.
         slow: (ORDER + 2, 3n) scratch.
-        missed: (ORDER + 2, 3n) takes by how much its velocities are not those that forces make from the
-            state on.
+        residual: (ORDER + 2, 3n) is overwritten with the residual of velocities: their difference from those
+            that the forces cause, starting from the state.
 
     Returns:
-        The unit of the clock, or 0 where there is no such motion.
+        The time scale of the series, or 0 if there is no slow motion.
     """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
-    unknown, inverse, slow, missed = borrowed(unknown), borrowed(inverse), borrowed(slow), borrowed(missed)
+    unknown, inverse, slow = borrowed(unknown), borrowed(inverse), borrowed(slow)
+    residual = borrowed(residual)
     ties = _slipping(system, state)
     if len(ties) == 0:
         return 0.0
@@ -102,8 +101,8 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
     pace, least = 1.0, max(STIFF / fastest, part) if fastest > 0.0 else 1.0
     null = np.zeros(stiff.matrix.shape)
     for turn in range(PASSES + 1):
-        if turn == 1:  # the first one shows how fast the motion changes
-            if not largest_of(missed[0], 0) <= NEAR * _slowest(series, ties):
+        if turn == 1:  # pass 0 gives the rate of change of the motion
+            if not largest_of(residual[0], 0) <= NEAR * _slowest(series, ties):
                 return 0.0
             pace = _pace_of(series, ties, slow)
             least = max(STIFF / (pace * fastest), part)
@@ -116,25 +115,27 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, missed):
         _project(stiff, null, free)
         for k in range(ORDER + 1 if turn > 0 else 2):
             if k > 0:
-                _take_slow(stiff, mechanism, null[:free], slow[k], series.v[k], missed[k])
+                _keep_fast_part(stiff, mechanism, null[:free], slow[k], series.v[k], residual[k])
             else:
                 for i in range(n):
-                    series.v[0, i], missed[0, i] = slow[0, i], slow[0, i] - state.v[i]
+                    series.v[0, i], residual[0, i] = slow[0, i], slow[0, i] - state.v[i]
             forces_of_order(system, state, series, k, False, closed)
             hold(system, state, series.unit[0], unknown, inverse, fixed, series.force[k])
             for _ in range(REFINED):
-                _balance(system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1], missed[k])
+                _balance(
+                    system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1], residual[k]
+                )
             for i in range(n):
                 slow[k, i] = series.v[k, i]
             integrate(system, rates, series, k, pace, False)
-        if turn > 1 and missed_slowly(missed, 1.0) <= ROUNDOFF:
+        if turn > 1 and residual_at(residual, 1.0) <= ROUNDOFF:
             break
     return pace
 
 
 @inlined
 def _slipping(system, state):
-    """Return the contacts that slip, none where any begins to, is held, or has no series in the clock."""
+    """Return the slipping contacts; none if slip starts from rest or a Hertz contact has just closed."""
     count = 0
     ties = np.empty(len(system.friction), dtype=np.int64)
     for j in range(len(ties)):
@@ -151,7 +152,7 @@ def _slipping(system, state):
 
 @inlined
 def _set_up(system, state, series, unknown, inverse, ties, closed):
-    """Return the `Stiff` of slips, their mechanism, and scratch for `hold`; coefficients 0 are filled."""
+    """Return the `Stiff`, the `Mechanism` and scratch for `hold`; fill the coefficients 0 of forces."""
     m, fixed, unit, force = len(ties), np.empty(len(unknown)), series.unit, series.force
     forces_of_order(system, state, series, 0, False, closed)
     hold(system, state, unit[0], unknown, inverse, fixed, force[0])
@@ -160,7 +161,7 @@ def _set_up(system, state, series, unknown, inverse, ties, closed):
     answers, mechanism = np.empty((m, len(state.v))), new_mechanism(m)
     for c in range(m):
         answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[0], answers[c])
-    # what forces reach is what they do without friction of what is held, which is symmetric
+    # the mechanism needs a symmetric response, so friction of held contacts is left out of it
     none, even = np.zeros(unit.shape[1]), np.empty((len(unknown), len(unknown)))
     force_inverse(system, state, none, unknown, np.ones(len(system.friction)), even)
     find_mechanism(system, state, none, unknown, even, fixed, ties, force[0], mechanism)
@@ -178,7 +179,7 @@ def _set_up(system, state, series, unknown, inverse, ties, closed):
 
 @inlined
 def _project(stiff, null, free):
-    """Fill `turned`: S without its part along the first rows of null, whose velocities are integrated."""
+    """Fill `turned`, S without its part along the first `free` rows of `null`, which are integrated."""
     r = len(null)
     for b in range(r):
         for a in range(r):
@@ -193,7 +194,7 @@ def _project(stiff, null, free):
 
 @inlined
 def _slowest(series, ties):
-    """Return the least speed of some contacts."""
+    """Return the least slip speed of the contacts `ties`."""
     least = math.inf
     for j in ties:
         least = min(least, series.speed[0, j])
@@ -202,7 +203,7 @@ def _slowest(series, ties):
 
 @inlined
 def _pace_of(series, ties, slow):
-    """Return a unit of the clock in which slow slip changes by as much as it is, at the most 1."""
+    """Return the time, at most 1, in which a slip velocity of the slow motion changes by its own size."""
     pace = 1.0
     for j in ties:
         change = math.hypot(slow[1, 3 * j], slow[1, 3 * j + 1])
@@ -212,20 +213,19 @@ def _pace_of(series, ties, slow):
 
 
 @inlined
-def _take_slow(stiff, mechanism, null, slow, v, missed):
-    """Take the part of velocities (3n,) that turns fast from the pass before; the rest is integrated.
+def _keep_fast_part(stiff, mechanism, null, slow, v, residual):
+    """Replace the part of integrated velocities that turns fast by that of the previous pass.
 
     Args:
-        stiff: The slips.
-        mechanism: Theirs.
-        null: (k, r) coordinates that do not turn fast.
-        slow: (3n,) velocities of the pass before.
-        v: (3n,) integrated ones, changed.
-        missed: (3n,) takes the change.
+        stiff, mechanism: The `Stiff` and the `Mechanism`.
+        null: (k, r) coordinates that are integrated.
+        slow: (3n,) velocities of the previous pass.
+        v: (3n,) integrated velocities; their fast part is overwritten.
+        residual: (3n,) is overwritten with the change.
     """
     ties, right, turn = stiff.ties, stiff.right, stiff.turn
-    for i in range(len(missed)):
-        missed[i] = 0.0
+    for i in range(len(residual)):
+        residual[i] = 0.0
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
         right[a] = slow[i] - v[i]
@@ -236,24 +236,23 @@ def _take_slow(stiff, mechanism, null, slow, v, missed):
             turn[k] -= along * row[k]
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
-        missed[i] = dot(mechanism.lower[a, : len(turn)], turn)
-        v[i] += missed[i]
+        residual[i] = dot(mechanism.lower[a, : len(turn)], turn)
+        v[i] += residual[i]
 
 
 @inlined
-def _balance(system, series, k, stiff, mechanism, least, factor, slow, missed):
-    """Turn slip of order k until forces make of velocities what the pass before has one order higher.
+def _balance(system, series, k, stiff, mechanism, least, factor, slow, residual):
+    """Solve (14.5) for velocities of order k, given those of order k + 1 from the previous pass.
 
     Args:
         system: The `System`.
-        series: Its series.
+        series: Its coefficients k of velocities, directions and forces are updated.
         k: The order.
-        stiff: The slips.
-        mechanism: Theirs.
-        least: Part of the fastest turn below which velocities stay.
-        factor: From that order to forces.
-        slow: (3n,) the velocities of that order.
-        missed: (3n,) what is added to those of order k, changed.
+        stiff, mechanism: The `Stiff` and the `Mechanism`.
+        least: Rate of turning, relative to the fastest, below which coordinates are left as they are.
+        factor: (k + 1) over the time scale.
+        slow: (3n,) velocities of order k + 1.
+        residual: (3n,) sum of the changes of order k; the change is added.
     """
     ties, right, turn = stiff.ties, stiff.right, stiff.turn
     v, speed, unit, force = series.v, series.speed, series.unit, series.force
@@ -261,14 +260,14 @@ def _balance(system, series, k, stiff, mechanism, least, factor, slow, missed):
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
         right[a] = dot(system.w[i], force[k]) - factor * slow[i]
-    left = np.empty(r)
-    forward(mechanism.lower, mechanism.order, r, right, left)
-    least_norm(stiff.turned, left, least, turn, np.empty((0, r)))
+    unbalanced = np.empty(r)
+    forward(mechanism.lower, mechanism.order, r, right, unbalanced)
+    least_norm(stiff.turned, unbalanced, least, turn, np.empty((0, r)))
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
         change = dot(mechanism.lower[a, :r], turn)
         v[k, i] += change
-        missed[i] += change
+        residual[i] += change
     for c in range(len(ties)):
         j = ties[c]
         x = dot(mechanism.across[c, :r], turn) / speed[0, j]
@@ -281,14 +280,14 @@ def _balance(system, series, k, stiff, mechanism, least, factor, slow, missed):
 
 
 @inlined
-def missed_slowly(missed, h):
-    """Return by how much velocities on the way to h are not those that forces make from the state on."""
+def residual_at(residual, h):
+    """Return a bound on the residual of velocities on [0, h], Σ |coefficient| hᵏ; inf if it diverges."""
     largest = 0.0
-    for i in range(missed.shape[1]):
-        total = abs(missed[ORDER, i])
+    for i in range(residual.shape[1]):
+        total = abs(residual[ORDER, i])
         for k in range(ORDER - 1, -1, -1):
-            total = total * h + abs(missed[k, i])
-        if not total < math.inf:  # where series diverge from pass to pass
+            total = total * h + abs(residual[k, i])
+        if not total < math.inf:
             return math.inf
         largest = max(largest, total)
     return largest

@@ -1,7 +1,4 @@
-"""A stage of an implicit step through an impact at many contacts: the minimum of (14.10).
-
-(theory.md, section 14)
-"""
+"""Stages of the implicit steps of an impact at several contacts. (theory.md, (14.10))"""
 
 from __future__ import annotations
 
@@ -18,18 +15,19 @@ from ..._numeric.tolerances import EPS, LITTLE, ROUNDOFF
 from .tolerances import NEGLIGIBLE
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
-"""Of Newton's method and of its line search at most; part of the slope that the search may leave."""
+"""Largest numbers of iterations of Newton's method and of its line search, and the ratio to which the search
+reduces the slope."""
 
 ROUNDS = 20
-"""Of stiff contacts and their friction in turn, at most, before a step is shortened."""
+"""Largest number of alternations between stiff normal forces and friction bounds before a shorter step."""
 
 
 class Springs(NamedTuple):
-    """What the normal forces of n contacts follow from.
+    """Parameters of the normal forces of n contacts. (14.9)
 
     Attributes:
-        largest: (n,) the largest penetration.
-        peak: (n,) the indentation there.
+        largest: (n,) x*, the largest penetration so far.
+        peak: (n,) δ*, the indentation there.
         restitution: (n,) e.
         stiffness: (n,) κ.
         exponent: η.
@@ -51,9 +49,9 @@ def force_at(springs, j, x):
 
 @inlined
 def _depth(springs, j, x):
-    """Return the indentation of contact j at the penetration x, 0 where it is open."""
-    way, e = x - springs.largest[j], springs.restitution[j]
-    return max(springs.peak[j] + (way if way >= 0.0 else way / (e * e)), 0.0)
+    """Return max(δ, 0) of contact j at the penetration x. (14.9)"""
+    deeper, e = x - springs.largest[j], springs.restitution[j]
+    return max(springs.peak[j] + (deeper if deeper >= 0.0 else deeper / (e * e)), 0.0)
 
 
 @inlined
@@ -68,7 +66,14 @@ def _hardness(springs, j, x):
 
 @inlined
 def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, force, bound):
-    """Find y, v and the normal forces (3n,) of a stage; return whether friction and stiff contacts agree."""
+    """Solve a stage; return whether friction bounds and normal forces of stiff contacts have converged.
+
+    Args:
+        friction: (n,) μ.
+        force: (3n,) forces; the normal ones of stiff contacts are updated.
+        bound: (n,) scratch.
+        rows, creep, springs, stiff, x, part, target, y, v: As for `minimize`.
+    """
     for _ in range(ROUNDS):
         for j in range(len(x)):
             bound[j] = part * friction[j] * force[3 * j + 2]
@@ -91,25 +96,24 @@ def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, for
 )
 @external
 def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
-    """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
-
-    Return whether it is found.
+    """Minimize (14.10) by Newton's method with a line search; return whether it has converged.
 
     Args:
         rows: (3n, r) J.
-        bound: (n,) the factors of H.
+        bound: (n,) factors h a μ F of H.
         creep: ε.
-        springs: What normal forces follow from.
-        stiff: (n,) whether forces follow from v too.
-        x: (n,) penetrations, of stiff contacts but for `part` of −v₃.
+        springs: The `Springs`.
+        stiff: (n,) whether the spring of a contact is implicit.
+        x: (n,) penetrations; those of stiff contacts without the implicit term −`part` v₃.
         part: h a.
         target: (r,) c.
-        y, v: Where to begin.
+        y: (r,) initial guess; is overwritten with the minimum.
+        v: (3n,) velocities at y; is updated with it.
     """
     rows, bound, springs, stiff = borrowed(rows), borrowed(bound), borrowed(springs), borrowed(stiff)
     x, target, y, v = borrowed(x), borrowed(target), borrowed(y), borrowed(v)
     n, r = len(bound), len(y)
-    gradient, matrix, way, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
+    gradient, matrix, step, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
     strongest, last = 0.0, math.inf
     for j in range(n):
         strongest = max(strongest, bound[j])
@@ -130,32 +134,32 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
                 rub = bound[j] / max(math.sqrt(ax * ax + ay * ay), creep)
                 for k in range(r):
                     gradient[k] += rub * (rows[3 * j, k] * ax + rows[3 * j + 1, k] * ay)
-        off = 0.0
+        residual = 0.0
         for k in range(r):
-            off = max(off, abs(gradient[k]))
-        if off <= noise or (off <= ROUNDOFF + NEGLIGIBLE * strongest and off > 0.5 * last):
+            residual = max(residual, abs(gradient[k]))
+        if residual <= noise or (residual <= ROUNDOFF + NEGLIGIBLE * strongest and residual > 0.5 * last):
             return True
-        last = off
+        last = residual
         _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)
         cholesky(matrix)
         for k in range(r):
-            way[k] = -gradient[k]
-        substitute(matrix, way)
+            step[k] = -gradient[k]
+        substitute(matrix, step)
         for i in range(3 * n):
             change[i] = 0.0
             for k in range(r):
-                change[i] += rows[i, k] * way[k]
-        far = _search(bound, creep, springs, stiff, x, part, target, y, way, v, change)
+                change[i] += rows[i, k] * step[k]
+        length = _search(bound, creep, springs, stiff, x, part, target, y, step, v, change)
         for k in range(r):
-            y[k] += far * way[k]
+            y[k] += length * step[k]
         for i in range(3 * n):
-            v[i] += far * change[i]
+            v[i] += length * change[i]
     return False
 
 
 @inlined
 def _curvature(rows, bound, creep, springs, stiff, penetration, part, v, matrix):
-    """Fill the lower half of the second derivative (r, r) of (14.10)."""
+    """Compute the lower triangle of the Hessian (r, r) of (14.10)."""
     r = len(matrix)
     for k in range(r):
         for m in range(k + 1):
@@ -182,15 +186,18 @@ def _curvature(rows, bound, creep, springs, stiff, penetration, part, v, matrix)
 
 
 @inlined
-def _search(bound, creep, springs, stiff, x, part, target, y, way, v, change):
-    """Return how far (14.10) is followed in a direction in which it falls: 1, or to where it is flat."""
-    begin = length = 0.0
+def _search(bound, creep, springs, stiff, x, part, target, y, step, v, change):
+    """Return the length of a Newton step: 1, or where the slope of (14.10) along it is nearly zero.
+
+    `step` (r,) is the change of y and `change` (3n,) that of v; other arguments as in `minimize`.
+    """
+    begin = square = 0.0
     for k in range(len(y)):
-        begin += (y[k] - target[k]) * way[k]
-        length += way[k] * way[k]
+        begin += (y[k] - target[k]) * step[k]
+        square += step[k] * step[k]
     least, most, far, first = 0.0, 0.0, 0.0, 0.0
     for search in range(SEARCHES):
-        slope = begin + far * length
+        slope = begin + far * square
         for j in range(len(bound)):
             if stiff[j]:
                 dz = change[3 * j + 2]

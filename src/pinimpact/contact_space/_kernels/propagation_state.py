@@ -1,4 +1,4 @@
-"""What n contacts are during an impact, and where it has come to. (theory.md, section 14)"""
+"""Parameters and state of n contacts during an impact. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .tolerances import NEGLIGIBLE, SLIP_SPEED
 
 NOT_SHARED, SHARED, UNEVEN = 0, 1, 2
-"""`State.shared`: whether others can bear what friction at a contact does; and whether in the step to come
-that of the series, (14.4), leaves its bounds, so that they do."""
+"""`State.shared`. SHARED: other contacts can bear the friction of this one. UNEVEN: likewise, and the
+friction (14.4) of the series leaves the friction bounds within the coming step, so that it is
+redistributed."""
 
 BEGUN, TIED, AT_BOUND = 1, 2, 3
-"""`State.fresh` of a slip that has just begun, of one that does as friction that is shared comes to all its
-bounds, and where friction has come to its bound."""
+"""`State.fresh`. BEGUN: slip has just begun. TIED: it begins together with that of other contacts that share
+friction, (14.14). AT_BOUND: friction has reached its bound."""
 
 
 class System(NamedTuple):
-    """What n contacts are during an impact.
+    """Parameters of n contacts, constant during an impact.
 
     Attributes:
         w: (3n, 3n) W.
-        filled: (3n, 3n) where its rows are not zero, the first
-        filled_count: (3n,) of them.
+        filled: (3n, 3n) column indices of the nonzero entries of each row of W.
+        filled_count: (3n,) number of these entries.
         friction: (n,) μ.
-        unloading: (n,) ρ = 1/e², and 0 for a contact that restores nothing.
+        unloading: (n,) ρ = 1/e², or 0 if e = 0.
         stiffness: (n,) κ.
         exponent: η.
     """
@@ -44,22 +45,22 @@ class System(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where an impact has come to.
+    """State of an impact.
 
     Attributes:
         v: (3n,) velocities.
         impulse: (3n,) P.
         indentation: (n,) δ, negative for a gap.
         deepest: (n,) the largest δ since the contact closed.
-        normal: (n,) modes OPEN, LOADING, RISING, SINKING, HELD.
-        tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
-        direction: (2n,) of the slip that a contact at the bound of its friction would take.
+        normal: (n,) normal modes OPEN, LOADING, RISING, SINKING, HELD.
+        tangent: (n,) tangential modes FREE, SLIPPING, STUCK, BOUND.
+        direction: (2n,) direction of incipient slip where friction is at its bound.
         fresh: (n,) `BEGUN`, `TIED`, `AT_BOUND`, or 0.
-        shared: (n,) whether others can bear what friction at a contact does, see `propagation_sharing`.
-        share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
-        pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
-        last: (n,) the force of a held contact as its modes were last chosen.
-        ringing: (n,) by how much the force of a held contact oscillates about its mean.
+        shared: (n,) `NOT_SHARED`, `SHARED` or `UNEVEN`.
+        share: (2n,) friction of a sticking contact over its normal force, g of (14.4).
+        pressed: (n,) force of a held contact to which the solution of its equations is added.
+        last: (n,) mean force F̄ of a held contact when its modes were last chosen.
+        ringing: (n,) amplitude of the oscillation of a held contact's force about F̄.
     """
 
     v: Floats
@@ -79,7 +80,7 @@ class State(NamedTuple):
 
 @inlined
 def new_state(v, impulse):
-    """Return the `State` of n contacts that are open, with velocities and impulses (3n,)."""
+    """Return the `State` of n open contacts with velocities and impulses (3n,), which it refers to."""
     n = len(v) // 3
     return State(
         *(v, impulse, np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)),
@@ -96,13 +97,13 @@ def loads(mode):
 
 @inlined
 def rate(system, mode, j):
-    """Return ρ: how fast the indentation follows the velocity."""
+    """Return ρ of (14.2), the ratio of dδ/ds to −v₃."""
     return 1.0 if mode in (OPEN, LOADING) or system.unloading[j] == 0.0 else system.unloading[j]
 
 
 @inlined
 def friction_share(system, state, unit, j):
-    """Return the friction of a contact that goes with its normal force, in parts of it."""
+    """Return the friction force that is proportional to the normal force of contact j, over that force."""
     tangent, x, y = state.tangent[j], 2 * j, 2 * j + 1
     if tangent == STUCK:
         return state.share[x], state.share[y]
@@ -113,14 +114,14 @@ def friction_share(system, state, unit, j):
 
 @inlined
 def stored(system, j, indentation):
-    """Return the energy of a contact's spring in loading."""
+    """Return κ δ^(η + 1)/(η + 1), the energy of loading contact j to an indentation δ."""
     order = system.exponent + 1.0
     return system.stiffness[j] * max(indentation, 0.0) ** order / order
 
 
 @inlined
 def close(system, state, j):
-    """Let a contact begin to load."""
+    """Start loading a contact."""
     state.normal[j] = LOADING
     state.indentation[j] = 0.0
     state.deepest[j] = 0.0
@@ -133,7 +134,7 @@ def close(system, state, j):
 
 @inlined
 def begin_to_slip(state, j):
-    """Let a contact slip along its direction, at a speed that does not matter."""
+    """Start slip of a contact along `State.direction`, at the negligible speed `SLIP_SPEED`."""
     state.tangent[j] = SLIPPING
     state.fresh[j] = BEGUN
     state.v[3 * j] = SLIP_SPEED * state.direction[2 * j]
@@ -142,7 +143,7 @@ def begin_to_slip(state, j):
 
 @inlined
 def stick(state, j):
-    """Let the slip of a contact be at its end."""
+    """End the slip of a contact."""
     state.tangent[j] = STUCK
     state.v[3 * j] = 0.0
     state.v[3 * j + 1] = 0.0
@@ -150,7 +151,7 @@ def stick(state, j):
 
 @inlined
 def open_contact(state, j):
-    """Let a contact part."""
+    """Separate a contact."""
     state.normal[j] = OPEN
     state.tangent[j] = FREE
     state.indentation[j] = 0.0

@@ -1,7 +1,4 @@
-"""An impact at many contacts by adaptive implicit steps, where events cannot be followed one by one.
-
-(theory.md, section 14)
-"""
+"""Impact at several contacts by adaptive implicit steps, for very many events. (theory.md, section 14)"""
 
 from __future__ import annotations
 
@@ -60,35 +57,36 @@ ERROR = WEIGHTS - np.array(
         *(814220225 / 1159782912, -3700637 / 11593932, 61727 / 225920),
     ]
 )
-"""Of an implicit and an explicit method that share their weights; those of third order subtracted."""
+"""Coefficients of the implicit and the explicit method, which share `WEIGHTS`; `ERROR` is the difference of
+the weights to those of the embedded method of third order."""
 
 STAGES = 6
 
-
 GROWS, SHRINKS, SAFE = 5.0, 0.1, 0.9
-"""By what a step may differ from the one before."""
+"""Largest and least factor from one step size to the next, and safety factor."""
 
 CREEP = 10.0
-"""A speed of slip, in parts of the accuracy, up to which friction is proportional to it."""
-
+"""ε of (14.10), the slip speed below which friction is regularized, over the accuracy of a step."""
 
 LOCKED, CHANGES, AT_BOUND = 1.0, 0.1, 100.0
-"""The clock after which what creeps is locked, and by how much of ε it may change in a step. Contacts at
-their bounds follow the creep of others: so many times ε at most."""
+"""Friction has locked a mechanism if no velocity changes by more than `CHANGES` ε per step for `LOCKED` units
+of the clock. Contacts with slip up to `AT_BOUND` ε count as sticking: those at their bounds follow the creep
+of others."""
 
 STIFF = 1.0
-"""The unit of a contact's own clock: by explicit steps beyond it its oscillations would grow."""
+"""Step size, over a contact's time scale 1/√(κ W₃₃) in loading or e times that in unloading, above which its
+spring is integrated implicitly."""
 
 
 class Contacts(NamedTuple):
-    """The contacts of an impact by steps.
+    """Parameters and penetrations of the contacts.
 
     Attributes:
         rows: (3n, r) J.
         friction: (n,) μ.
-        springs: The `Springs`, with the largest penetrations.
+        springs: The `Springs`; their largest penetrations are updated after each step.
         x: (n,) penetrations.
-        pace: (n,) of velocities in their loading to indentations.
+        pace: (n,) √(κ W₃₃), which converts penetrations to velocities.
         creep: ε.
     """
 
@@ -105,39 +103,34 @@ class Contacts(NamedTuple):
 def step_through(
     rows, start, friction, restitution, stiffness, exponent, accuracy, most, impulse, works, path
 ):
-    """Resolve an impact at n contacts by steps of fourth order. (14.9)
+    """Resolve an impact at n contacts by adaptive steps of fourth order. (14.9), (14.10)
 
-    The velocities are `start` + J y, dy/ds = Jᵀ p. Penetrations x, dx/ds = −v₃, go by the explicit method, so
-    normal forces are known at each stage, and y by the implicit one, whose stages are minima (with the energy
-    of springs added where contacts are too stiff for explicit steps):
-
-        ½|y − c|² + h a Σ μ_j F_j H(|v_jt|),                                                       (14.10)
-
-    H(r) = r, but r²/2ε + ε/2 below ε. Where a step misses the accuracy, as at changes of contact, it is
-    taken again with a shorter length.
+    The explicit method integrates the penetrations x, dx/ds = −v₃, so normal forces are known at each stage.
+    The implicit method integrates y, with velocities `start` + J y and dy/ds = Jᵀ p; its stages minimize
+    (14.10), to which the energy of springs too stiff for explicit steps is added.
 
     Args:
-        rows: (3n, r) J, W = J Jᵀ, the largest of size one.
-        start: (3n,) velocities before it, the largest of size one.
+        rows: (3n, r) J with W = J Jᵀ, scaled to a largest row of size one.
+        start: (3n,) pre-impact velocities, scaled to a largest of one.
         friction: (n,) μ.
-        restitution: (n,) e, of the energetic law, > 0.
+        restitution: (n,) e > 0 of the energetic law.
         stiffness: (n,) κ, with κ W₃₃ ≤ 1.
         exponent: η, 1 or 3/2.
-        accuracy: By how much a step may miss velocities and penetrations; ε is `CREEP` times as much.
-        most: A bound on their number.
-        impulse: (3n,) takes P.
-        works: (n, 3) takes the works of compression, restitution and friction.
-        path: (m, 3n + 1) takes the clock and P before each of the first m steps.
+        accuracy: Tolerance of velocities and penetrations in a step; ε is `CREEP` times as large.
+        most: Largest number of steps.
+        impulse: (3n,) is overwritten with P.
+        works: (n, 3) is overwritten with the work of compression, restitution and friction.
+        path: (m, 3n + 1) is filled with the clock and P before each of the first m steps.
 
     Returns:
-        The number of steps; 0: the bound has been reached.
+        The number of steps, or 0 if the impact has not ended after `most` steps.
     """
     n, r = len(friction), rows.shape[1]
     creep, mobility, pace = CREEP * accuracy, np.zeros(n), np.empty(n)
     for j in range(n):
         for k in range(r):
             mobility[j] += rows[3 * j + 2, k] ** 2
-        pace[j] = math.sqrt(stiffness[j] * mobility[j])  # of velocities in its loading to indentations
+        pace[j] = math.sqrt(stiffness[j] * mobility[j])
     filled(works.ravel(), 0.0)
     filled(impulse, 0.0)
     springs = Springs(np.zeros(n), np.zeros(n), restitution, stiffness, exponent)
@@ -153,11 +146,14 @@ def step_through(
 )
 @external
 def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, works, path):
-    """Take the steps of `step_through`, from velocities v[0].
+    """Take the steps of `step_through`; return their number, or 0 for more than `most`.
 
     Args:
+        contacts: The `Contacts`; their penetrations are overwritten.
         mobility: (n,) W₃₃ of each contact.
-        v, force, rate: (STAGES, …) scratch.
+        v: (STAGES, 3n) velocities of the stages; v[0] is given.
+        force, rate: (STAGES, 3n) p and (STAGES, r) dy/ds of the stages; scratch.
+        accuracy, most, impulse, works, path: As for `step_through`.
     """
     contacts, v, force, rate = borrowed(contacts), borrowed(v), borrowed(force), borrowed(rate)
     impulse, works, path = borrowed(impulse), borrowed(works), borrowed(path)
@@ -185,7 +181,7 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
                 assign(held_impulse, impulse)
                 assign(held_works, works.ravel())
             held += h
-            if held >= LOCKED:  # what is locked is pressed on, and that is of no impact
+            if held >= LOCKED:  # the impact ended as locking began; later impulses are static load
                 assign(impulse, held_impulse)
                 assign(works.ravel(), held_works)
                 return step
@@ -202,7 +198,7 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
 
 @inlined
 def _fill_forces(contacts, v, force):
-    """Fill forces (3n,) at the start of a step; friction in the same part of its bound as at the last end."""
+    """Update forces (3n,) at the start of a step; friction keeps its ratio to the normal force."""
     for j in range(len(contacts.x)):
         normal = force_at(contacts.springs, j, contacts.x[j])
         for a in range(3 * j, 3 * j + 2):
@@ -216,7 +212,7 @@ def _fill_forces(contacts, v, force):
 
 @inlined
 def _fly(contacts, v, time):
-    """Let all move on for a time, at whose end the first of them close."""
+    """Advance open contacts by the time of flight, and close those whose gap is then zero."""
     x, largest = contacts.x, contacts.springs.largest
     for j in range(len(x)):
         gap = largest[j] - x[j]
@@ -227,44 +223,43 @@ def _fly(contacts, v, time):
 
 @inlined
 def _find_step(contacts, v, force, rate, h, accuracy):
-    """Find the stages of a step that keeps to the accuracy.
+    """Compute the stages of a step whose error is within the accuracy.
 
     Args:
         contacts: The `Contacts`.
-        v: (STAGES, 3n) velocities, those at the start first.
-        force: (STAGES, 3n) forces likewise.
-        rate: (STAGES, r) dy/ds likewise.
-        h: The length that is tried first.
-        accuracy: By how much it may miss velocities and penetrations.
+        v, force, rate: (STAGES, …) velocities, forces and dy/ds of the stages; the first of each is given,
+            the others are overwritten.
+        h: Step size that is tried first.
+        accuracy: Tolerance of velocities and penetrations.
 
     Returns:
-        Its length, and the factor to the next one.
+        The step size, and its ratio to the proposed next one.
     """
     pace, restitution = contacts.pace, contacts.springs.restitution
     while True:
-        found = _find_stages(contacts, v, force, rate, h)
-        missed = _missed(contacts, rate, v, h)
-        factor = min(max(SAFE * (accuracy / max(missed, TINY)) ** 0.25, SHRINKS), GROWS)
+        converged = _compute_stages(contacts, v, force, rate, h)
+        error = _error_of_step(contacts, rate, v, h)
+        factor = min(max(SAFE * (accuracy / max(error, TINY)) ** 0.25, SHRINKS), GROWS)
         if h <= NEGLIGIBLE:
             break
-        if missed <= accuracy and found:
+        if error <= accuracy and converged:
             part = _until_a_turn(v[0], v[STAGES - 1], force[STAGES - 1], accuracy / h, pace, restitution)
             if part == 1.0:
                 break
             h *= part
         else:
-            h *= min(factor, SAFE) if found else SHRINKS
+            h *= min(factor, SAFE) if converged else SHRINKS
     return h, factor
 
 
 @inlined
-def _find_stages(contacts, v, force, rate, h):
-    """Fill the stages of a step after the first; return whether all were found. See `_find_step`."""
+def _compute_stages(contacts, v, force, rate, h):
+    """Compute the stages after the first, for `_find_step`; return whether all converged."""
     rows, friction, springs, x, pace, creep = contacts
     n, r = len(friction), rows.shape[1]
     target, at, bound, now = np.empty(r), np.zeros(r), np.empty(n), np.empty(n)
-    stiff, found = np.zeros(n, dtype=np.bool_), True
-    for j in range(n):  # contacts whose own time is shorter than the step
+    stiff, converged = np.zeros(n, dtype=np.bool_), True
+    for j in range(n):
         e = springs.restitution[j] if x[j] < springs.largest[j] or v[0, 3 * j + 2] > 0.0 else 1.0
         stiff[j] = h * pace[j] > STIFF * e
     for i in range(1, STAGES):
@@ -283,17 +278,17 @@ def _find_stages(contacts, v, force, rate, h):
                 if not stiff[j]:
                     target[k] += part * rows[3 * j + 2, k] * force[i, 3 * j + 2]
         _velocities(rows, v[0], at, v[i])
-        found = found and find_stage(
+        converged = converged and find_stage(
             rows, friction, creep, springs, stiff, now, part, target, at, v[i], force[i], bound
         )
         _oppose(friction, creep, v[i], force[i])
         _push(rows, force[i], rate[i])
-    return found
+    return converged
 
 
 @inlined
 def _sum_up(contacts, v, force, h, impulse, works):
-    """Add a step to the impulses (3n,) and works (n, 3), and move the penetrations to its end."""
+    """Add a step to the impulses (3n,) and work (n, 3), and advance the penetrations to its end."""
     x, springs = contacts.x, contacts.springs
     largest, peak = springs.largest, springs.peak
     for j in range(len(x)):
@@ -310,14 +305,14 @@ def _sum_up(contacts, v, force, h, impulse, works):
             peak[j] += x[j] - largest[j]
             largest[j] = x[j]
         dent = springs.restitution[j] ** 2 * peak[j]
-        if x[j] <= largest[j] - dent:  # it has separated, and would be loaded again from there
+        if x[j] <= largest[j] - dent:  # separated; the next loading starts from here
             largest[j] -= dent
             peak[j] = 0.0
 
 
 @inlined
 def _velocities(rows, start, y, v):
-    """Fill v (3n,) with those at the contacts."""
+    """Fill v (3n,) with the contact velocities `start` + J y."""
     for i in range(len(v)):
         v[i] = start[i]
         for k in range(len(y)):
@@ -326,7 +321,10 @@ def _velocities(rows, start, y, v):
 
 @inlined
 def _outlook(contacts, v, force, mobility):
-    """Return the speed of approach, now or to come, the time to the next closing, and if any is pressed."""
+    """Return the largest speed of approach, the time to the next closing, and whether any contact is pressed.
+
+    The speed includes the one that stored energy could still cause; `mobility` (n,) is W₃₃.
+    """
     x = contacts.x
     largest, _, restitution, stiffness, exponent = contacts.springs
     speed, time, pressed = 0.0, NEVER, False
@@ -346,7 +344,7 @@ def _outlook(contacts, v, force, mobility):
 
 @inlined
 def _oppose(friction, creep, v, force):
-    """Fill in the friction of forces (3n,)."""
+    """Fill the friction components of forces (3n,), from their normal components and v (3n,)."""
     for j in range(len(friction)):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         part = -friction[j] * force[z] / max(math.sqrt(v[x] * v[x] + v[y] * v[y]), creep)
@@ -366,22 +364,22 @@ def _push(rows, force, rate):
 
 
 @inlined
-def _missed(contacts, rate, v, h):
-    """Return by how much a step misses velocities, by the method of third order.
+def _error_of_step(contacts, rate, v, h):
+    """Estimate the error of a step by the embedded method of third order, as a velocity.
 
-    What it misses of penetrations counts as the velocity that it comes to: 1/e times as much in unloading.
+    Errors of penetrations are multiplied by √(κ W₃₃), and by 1/e in unloading.
     """
     rows, _, springs, x, pace, _ = contacts
     r, most = rows.shape[1], 0.0
-    off = np.empty(r)
+    error = np.empty(r)
     for k in range(r):
-        off[k] = 0.0
+        error[k] = 0.0
         for i in range(STAGES):
-            off[k] += h * ERROR[i] * rate[i, k]
+            error[k] += h * ERROR[i] * rate[i, k]
     for a in range(rows.shape[0]):
         total = 0.0
         for k in range(r):
-            total += rows[a, k] * off[k]
+            total += rows[a, k] * error[k]
         most = max(most, abs(total))
     for j in range(len(x)):
         z, total = 3 * j + 2, 0.0
@@ -394,13 +392,15 @@ def _missed(contacts, rate, v, h):
 
 @inlined
 def _until_a_turn(first, last, force, slow, pace, restitution):
-    """Return the part of a step up to where what is pressed turns, and its stiffness changes; 1 if none does.
+    """Return the fraction of a step up to the first change of sign of v₃ at a pressed contact, or 1.
+
+    The stiffness of the contact changes there.
 
     Args:
-        first, last: (3n,) velocities.
-        force: (3n,) at its end.
-        slow: A change of velocity over the step that does not matter, in parts of its length.
-        pace, restitution: (n,).
+        first, last: (3n,) velocities at start and end of the step.
+        force: (3n,) forces at its end.
+        slow: Negligible change of a velocity, over the step size.
+        pace, restitution: (n,) √(κ W₃₃) and e.
     """
     part = 1.0
     for j in range(len(pace)):
@@ -415,12 +415,20 @@ def _until_a_turn(first, last, force, slow, pace, restitution):
 
 @inlined
 def _locked(rows, friction, before, v, force, creep):
-    """Return whether friction holds all that is pressed, so that no force changes, and nothing approaches.
+    """Return whether friction locks all pressed contacts and no contact approaches.
 
-    No velocity is left but creep: the rows of J where any would matter are in the span of the J_t that creep.
+    The rows of J at contacts that are pressed, or approach, are then in the span of the tangential rows of
+    sticking contacts, so that no velocity but creep remains.
+
+    Args:
+        rows: (3n, r) J.
+        friction: (n,) μ.
+        before, v: (3n,) velocities at start and end of the step.
+        force: (3n,) forces at its end.
+        creep: ε.
     """
     n, r = len(friction), rows.shape[1]
-    span, left = np.empty((r, r)), np.empty(r)
+    span, rest = np.empty((r, r)), np.empty(r)
     count, largest = 0, 0.0
     for a in range(3 * n):
         size = 0.0
@@ -442,21 +450,21 @@ def _locked(rows, friction, before, v, force, creep):
             if not counts:
                 continue
             for k in range(r):
-                left[k] = rows[a, k]
-            for _ in range(2):  # so that they are orthogonal to rounding
+                rest[k] = rows[a, k]
+            for _ in range(2):  # Gram–Schmidt twice, to be orthogonal to rounding
                 for i in range(count):
                     along = 0.0
                     for k in range(r):
-                        along += span[i, k] * left[k]
+                        along += span[i, k] * rest[k]
                     for k in range(r):
-                        left[k] -= along * span[i, k]
+                        rest[k] -= along * span[i, k]
             length = 0.0
             for k in range(r):
-                length += left[k] * left[k]
+                length += rest[k] * rest[k]
             if length > NEGLIGIBLE * NEGLIGIBLE * largest:
                 if moves == 1:
                     return False
                 for k in range(r):
-                    span[count, k] = left[k] / math.sqrt(length)
+                    span[count, k] = rest[k] / math.sqrt(length)
                 count += 1
     return count > 0
