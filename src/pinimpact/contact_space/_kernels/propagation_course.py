@@ -1,4 +1,4 @@
-"""An impact at many contacts, from event to event. (theory.md, section 14)"""
+"""The loop over the events of an impact at several contacts. (theory.md, section 14)"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Events of an impact at several contacts: their times and the changes of modes. (theory.md, section 14)"""
+"""Events of an impact at several contacts: their times and the changes of modes. (theory.md, section 14.6)"""
 
 from __future__ import annotations
 
@@ -79,15 +79,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
         still = series.changes[x] + series.changes[y] + series.changes[z] == 0 and series.v[0, z] == 0.0
         if still and mode in (OPEN, LOADING):
             continue
-        for k in range(ORDER + 1):
-            if mode == OPEN:
-                guard[k] = -series.indentation[k, j]
-            elif mode == HELD:
-                guard[k] = series.force[k, z] - (state.ringing[j] if k == 0 else 0.0)
-            elif mode == RISING:
-                guard[k] = series.v[k, z]
-            else:
-                guard[k] = -series.v[k, z]
+        _fill_normal_guard(state, series, mode, j, guard)
         zero = ROUNDOFF * strongest if mode == HELD else ROUNDOFF
         roots[j, 0] = _fall(guard, reach, zero, crowded, work)
         if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
@@ -111,14 +103,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
             roots[j, 1] = _fall(guard, reach, zero, crowded, work)
         if state.tangent[j] == STUCK:
-            square = system.friction[j] * system.friction[j]
-            for k in range(ORDER + 1):
-                total = 0.0
-                for i in range(k + 1):
-                    total += square * series.force[i, z] * series.force[k - i, z]
-                    total -= series.force[i, x] * series.force[k - i, x]
-                    total -= series.force[i, y] * series.force[k - i, y]
-                guard[k] = total
+            _fill_stick_guard(system, series, j, guard)
             roots[j, 2] = _fall(guard, reach, NOISE * strongest * strongest, crowded, work)
             if state.shared[j] != NOT_SHARED:
                 uneven |= roots[j, 2] < NEVER
@@ -141,6 +126,35 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
         if limit < NEVER:
             return limit, ORDER
     return first, degree
+
+
+@inlined
+def _fill_normal_guard(state, series, mode, j, guard):
+    """Fill the series of the guard of contact j's normal mode: its gap, ±v₃, or its least force if held."""
+    z = 3 * j + 2
+    for k in range(ORDER + 1):
+        if mode == OPEN:
+            guard[k] = -series.indentation[k, j]
+        elif mode == HELD:
+            guard[k] = series.force[k, z] - (state.ringing[j] if k == 0 else 0.0)
+        elif mode == RISING:
+            guard[k] = series.v[k, z]
+        else:
+            guard[k] = -series.v[k, z]
+
+
+@inlined
+def _fill_stick_guard(system, series, j, guard):
+    """Fill the series of μ²F² − |f|² of contact j."""
+    x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+    square = system.friction[j] * system.friction[j]
+    for k in range(ORDER + 1):
+        total = 0.0
+        for i in range(k + 1):
+            total += square * series.force[i, z] * series.force[k - i, z]
+            total -= series.force[i, x] * series.force[k - i, x]
+            total -= series.force[i, y] * series.force[k - i, y]
+        guard[k] = total
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""Stick or incipient slip of contacts at rest, by a convex program. (theory.md, section 14)"""
+"""Stick or incipient slip of contacts at rest, by a convex program. (theory.md, section 14.3)"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Incipient slip of redundant contacts as one rigid motion v_t = s² L y. (theory.md, section 14, (14.14))"""
+"""Incipient slip of redundant contacts as one rigid motion v_t = s² L y. (theory.md, section 14.4)"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Power series of an impact at several contacts between two events. (theory.md, section 14)
+"""Power series of an impact at several contacts between two events. (theory.md, section 14.6)
 
 The variable is the clock s, or τ = √s where a Hertz contact begins to load.
 """

@@ -1,7 +1,7 @@
 """Friction shared by redundant sticking contacts: its limit, incipient slip and distribution.
 
 With W = L Lᵀ in the tangential rows of these contacts, friction f balances the load b = −Lᵀf while
-b·d ≤ Σ μ_j F_j |L_j d| for every d. (theory.md, section 14, (14.13))
+b·d ≤ Σ μ_j F_j |L_j d| for every d, (14.13). (theory.md, section 14.4)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Series of the slow motion, where friction turns slip into equilibrium fast. (theory.md, (14.5))"""
+"""Series of the slow motion, where friction turns slip into equilibrium fast. (theory.md, section 14.5)"""
 
 from __future__ import annotations
 

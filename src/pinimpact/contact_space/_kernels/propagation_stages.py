@@ -1,4 +1,4 @@
-"""Stages of the implicit steps of an impact at several contacts. (theory.md, (14.10))"""
+"""Stages of the implicit steps of an impact at several contacts. (theory.md, section 14.9)"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Impact at several contacts by adaptive implicit steps, for very many events. (theory.md, section 14)"""
+"""Impact at several contacts by adaptive implicit steps, for very many events. (theory.md, section 14.9)"""
 
 from __future__ import annotations
 
