@@ -128,6 +128,18 @@ def test_roll_outs_of_the_true_model_are_exact_and_of_another_are_not() -> None:
         studies.compare(true, again)
 
 
+def test_recorded_quaternions_may_be_rounded() -> None:
+    """A box slides from v to rest in v/(μ g), on v t − μ g t²/2; its quaternions have three digits."""
+    motions, t = [], np.arange(0.0, 0.5, 1 / 150)
+    for k, v in enumerate((0.8, 1.0, 1.2)):
+        s = np.minimum(t, v / (0.25 * 9.81))
+        x = v * s - 0.5 * 0.25 * 9.81 * s**2
+        q = np.column_stack([x, 0 * x, 0 * x + 0.062, 0 * x, 0 * x, 0 * x + 0.387, 0 * x + 0.922])
+        motions.append(studies.Motion(t, q, group=k))
+    fit = studies.identify_sliding(motions, box_scene(), ("sliding_friction",))
+    assert fit.x == pytest.approx([0.25], rel=1e-9)
+
+
 def test_bad_input_is_named() -> None:
     exact = struck_boxes(np.random.default_rng(5), 4)
     with pytest.raises(InputError, match=r"the result of studies\.impacts is expected"):

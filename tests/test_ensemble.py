@@ -351,6 +351,33 @@ def test_single_impacts_follow_the_distributions():
     assert middle.low < middle.value < middle.high
 
 
+def test_quantiles_count_what_never_happens():
+    """A mass kicked upwards by v ~ N(0, 1) m/s has fallen h = 0.1 m after (v + √(v² + 2 g h))/g."""
+
+    def first(trajectory):
+        return {"first": trajectory.impacts[0].time if trajectory.impacts else np.inf}
+
+    over = {"v0:rail": stats.norm(0.0, 1.0)}
+    found = ensemble(_scene(), [0.1], [0.0], 0.2, over=over, samples=300, seed=5, reduce=first)
+    v = found.columns["v0:rail"]
+    falls = (v + np.sqrt(v**2 + 2 * 9.81 * 0.1)) / 9.81
+    never = falls > 0.2
+    assert 0.05 < never.mean() < 0.5
+    median, top = found.quantiles("first", [0.5, 0.99])
+    assert median.value == pytest.approx(np.sort(falls)[149], rel=1e-9)  # the 150th of 300 by the formula
+    assert top.value == np.inf
+    assert "90 % within" in found.summary()
+    found.plot()
+
+
+@pytest.mark.parametrize(
+    ("q", "confidence"), [(0.0, 0.95), (1.5, 0.95), (np.nan, 0.95), (0.5, 95), (0.5, 1.0)]
+)
+def test_levels_of_quantiles_are_between_0_and_1(q, confidence):
+    with pytest.raises(InputError, match=r"between 0 and 1|finite"):
+        _run(3).quantiles("v.rail", q, confidence)
+
+
 def test_sobol_indices_of_a_product_are_those_of_its_variances():
     # v⁺ = −e v of independent e and v: parts μ_v² σ_e², μ_e² σ_v² and σ_e² σ_v² of its variance
     found = ensemble(

@@ -132,6 +132,39 @@ def test_an_outlier_has_less_weight_with_the_soft_loss() -> None:
     assert off["soft_l1"] < 0.1 * off["linear"]
 
 
+@pytest.mark.parametrize("sideways", [0.0, 1e-16, 1e-9, 0.005])
+def test_components_without_errors_do_not_set_the_scale_of_the_loss(sideways: float) -> None:
+    """A ball falls straight down 30 times, and one rebound is recorded with the wrong sign: e is 0.5."""
+    rng = np.random.default_rng(0)
+    before, after = np.zeros((2, 30, 3))
+    before[:, 2], after[:, 2] = -2.0, 1.0 + 0.005 * rng.normal(size=30)
+    after[:, :2] = sideways * rng.normal(size=(30, 2))
+    after[0, 2] = -1.5
+    fit = studies.identify(
+        (np.tile(np.eye(3), (30, 1, 1)), before, after), free={"restitution": (0, 1)}, fixed={"friction": 0.3}
+    )
+    mean = (after[:, 2] / 2.0).mean()  # what least squares finds, off by the outlier
+    assert abs(fit.x[0] - 0.5) < 0.1 * abs(mean - 0.5)
+    low, high = fit.interval()[0]
+    assert low < 0.5 < high
+    assert high - low < 0.02
+    assert not fit.unidentified
+
+
+def test_a_fit_without_a_usual_size_of_residuals_has_the_interval_of_least_squares() -> None:
+    """More than half of the impacts are exact; e is the mean, and its error that of leaving one out."""
+    before, after = np.zeros((2, 10, 3))
+    before[:, 2], after[:, 2] = -2.0, 1.0
+    after[:2, 2] = 1.5, 0.5
+    fit = studies.identify(
+        (np.tile(np.eye(3), (10, 1, 1)), before, after), free={"restitution": (0, 1)}, fixed={"friction": 0.3}
+    )
+    e = after[:, 2] / 2.0
+    without = (e.sum() - e) / 9.0
+    assert fit.x == pytest.approx(0.5, abs=1e-12)
+    assert fit.standard_errors == pytest.approx(np.sqrt(0.9 * np.sum((without - 0.5) ** 2)), rel=1e-9)
+
+
 def test_friction_is_not_determined_where_all_impacts_stick() -> None:
     W, before = random_bodies(30, np.random.default_rng(6))
     before[:, :2] *= 0.01

@@ -154,7 +154,9 @@ T, Q = np.arange(12) / RATE, np.tile([0.0, 0, 1, 0, 0, 0, 1], (12, 1))
         ((T[[0, 1, 3, 2, *range(4, 12)]], Q), r"times do not rise at frame 3: 0.0133333333 s after 0.02 s"),
         ((T * 0.0, Q), "times do not rise at frame 1"),
         ((T[:6], Q[:6]), "6 frames given; two flights need 10 at least"),
-        ((T, Q[:6]), r"q: shape \(6, 7\) given, \(12, 7\) expected"),
+        ((T, Q[:6]), r"q: shape \(6, 7\) given, \(12, nq\) expected"),
+        ((T, Q.T), r"q: shape \(7, 12\) given, \(12, nq\) expected"),
+        ((T, Q * [1, 1, np.nan, 1, 1, 1, 1]), r"q: nan at \[0, 2\]; 12 of 84 numbers are not finite"),
         ((T, Q, None, (1e-3, 0.0)), "sigma: 0.0 given; it must be above 0"),
         ((T, Q, None, 1e-3), "sigma: shape"),
     ],
@@ -172,6 +174,8 @@ def test_impacts_are_those_of_one_free_body() -> None:
         studies.impacts(Scene(box_scene().model), [motion])
     with pytest.raises(InputError, match=r"Motions with q \(n, 7\) expected"):
         studies.impacts(box_scene(), [studies.Motion(T, Q[:, :6])])
+    with pytest.raises(InputError, match=r"the quaternion of frame 0 .* is zero"):
+        studies.impacts(box_scene(), [studies.Motion(T, Q * [1, 1, 1, 0, 0, 0, 0])])
     resting = studies.Motion(T, Q * [1, 1, 0, 1, 1, 1, 1])
     with pytest.raises(InputError, match="none begins with 5 frames clear"):
         studies.impacts(box_scene(), [resting])

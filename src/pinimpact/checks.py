@@ -109,7 +109,11 @@ def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = float_array(field, value, shape)
     squares = np.vdot(array, array)  # quickly finite, unless it is too large
     if not math.isfinite(squares) and not np.isfinite(array).all():
-        raise InputError(f"{field}: {array.tolist()} contains numbers that are not finite", value=value)
+        where = np.argwhere(~np.isfinite(array)).tolist()
+        first = f"{array[tuple(where[0])]} at {where[0]}"
+        raise InputError(
+            f"{field}: {first}; {len(where)} of {array.size} numbers are not finite", value=value
+        )
     return array
 
 
@@ -144,11 +148,11 @@ def _finite(name: str, value: Any) -> float:
     return number
 
 
-def level(value: Any) -> float:
+def level(value: Any, name: str = "level") -> float:
     """Return the level of an interval as a float above 0 and below 1, or raise `InputError`."""
-    number = _finite("level", value)
+    number = _finite(name, value)
     if not 0.0 < number < 1.0:
-        raise InputError(f"level: {number} given, between 0 and 1 expected", value=value)
+        raise InputError(f"{name}: {number} given, between 0 and 1 expected", value=value)
     return number
 
 

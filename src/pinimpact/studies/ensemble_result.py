@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from .. import checks
 from ..arrays import Array
 from ..checks import choice, counted, output_file, real_numbers, whole_number
 from ..errors import InputError
@@ -80,23 +81,23 @@ class Ensemble:
     def quantiles(
         self, column: str, q: ArrayLike = (0.05, 0.5, 0.95), confidence: float = 0.95
     ) -> list[Estimate]:
-        """Return quantiles of a column with their intervals, from order statistics.
+        """Return quantiles of a column with their intervals, both order statistics.
 
-        Rows without a number are left out. The intervals are exact for independent samples of any
-        distribution; for other designs than "random" they are too wide.
+        Rows without a number are left out; infinite ones, such as the time of an impact that never comes,
+        count. The intervals are exact for independent samples of any distribution; for other designs than
+        "random" they are too wide.
         """
-        values = self._numbers(column)
-        values = values[np.isfinite(values)]
+        values, confidence = self._numbers(column), checks.level(confidence, "confidence")
+        values = values[~np.isnan(values)]
         found = []
-        for level in np.ravel(real_numbers("q", q)).tolist():
+        for level in [checks.level(one, "q") for one in np.ravel(real_numbers("q", q)).tolist()]:
             if len(values) == 0:
                 found.append(Estimate(np.nan, np.nan, np.nan))
                 continue
             test = stats.quantile_test(values, p=level)
             interval = test.confidence_interval(confidence)
-            found.append(
-                Estimate(float(np.quantile(values, level)), float(interval.low), float(interval.high))
-            )
+            value = np.quantile(values, level, method="inverted_cdf")
+            found.append(Estimate(float(value), float(interval.low), float(interval.high)))
         return found
 
     def frequencies(self, column: str = "status", confidence: float = 0.95) -> dict[str, Estimate]:
@@ -203,6 +204,7 @@ class Ensemble:
 def shares(values: NDArray[Any], confidence: float) -> dict[str, Estimate]:
     """Return how often each value occurs, with Wilson's intervals, most frequent first."""
     names, counts = np.unique(values.astype(str), return_counts=True)
+    confidence = checks.level(confidence, "confidence")
     found = {}
     for k in np.argsort(-counts, kind="stable").tolist():
         test = stats.binomtest(int(counts[k]), len(values))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import qmc, t
+from scipy.stats import chi, qmc, t
 
 from .. import checks
 from .._numeric.tolerances import HALF_DIGITS, LITTLE
@@ -23,9 +23,6 @@ STARTS = 16
 
 ROBUST_SCALE = 3.0
 """Standard deviations beyond which residuals have less weight; normal ones keep .99 of their information."""
-
-MAD = 1.4826
-"""Standard deviation over median absolute deviation, of the normal distribution."""
 
 
 def _soft_l1(z: Array) -> Array:
@@ -159,8 +156,10 @@ def fit(
         result = other
     if loss != "linear":
         scale = robust_scale(residual(result.x))
-        # without scale, more than half of the residuals are zero, and there is nothing to bound
-        result = run(result.x, rho, scale) if scale > 0.0 else run(result.x, "linear", 1.0)
+        if scale > 0.0:
+            result = run(result.x, rho, scale)
+        else:  # more than half of the rows are zero, and no size is usual
+            loss = "linear"
     slopes, residuals = jacobian(result.x), residual(result.x)
     return with_covariance(result, free, residuals, slopes, group, loss, scale, reason, **known)
 
@@ -189,8 +188,13 @@ def better_along_a_parameter(
 
 
 def robust_scale(residuals: Array) -> float:
-    """Return the size from which on a loss gives residuals less weight."""
-    return ROBUST_SCALE * MAD * float(np.median(np.abs(residuals)))
+    """Return the size from which on a loss gives residuals (n, m) less weight.
+
+    It is of the lengths of rows: components without errors, such as the tangential ones of a body that falls
+    straight down, do not make it zero.
+    """
+    lengths = np.linalg.norm(residuals, axis=1)
+    return ROBUST_SCALE * float(np.median(lengths) / chi.median(residuals.shape[1]))
 
 
 def with_covariance(
@@ -212,7 +216,7 @@ def with_covariance(
     further attributes of the result.
     """
     low, high = np.array(list(free.values())).T
-    parts = _by_group(slopes, residuals, LOSSES[loss], scale if scale > 0.0 else 1.0, group)
+    parts = _by_group(slopes, residuals, LOSSES[loss], scale or 1.0, group)
     covariance, degrees, null, none = _covariance(*parts, high - low)
     result = Identified(
         **dict(solution.items()),

@@ -61,8 +61,11 @@ class Motion:
                 f"t: times do not rise at frame {k + 1}: {times[k + 1]:.9g} s after {times[k]:.9g} s", value=t
             )
         states = real_numbers("q", q)
-        width = states.shape[1] if states.ndim == 2 else 0
-        states = finite_array("q", states, (len(times), width))
+        if states.ndim != 2 or len(states) != len(times):
+            raise InputError(
+                f"q: shape {states.shape} given, ({len(times)}, nq) expected: a row for each time", value=q
+            )
+        states = finite_array("q", states, states.shape)
         pair = None
         if sigma is not None:
             given = finite_array("sigma", real_numbers("sigma", sigma), (2,))
@@ -137,13 +140,19 @@ def flights_of(
 
 
 def checked_motions(motions: Any) -> tuple[Motion, ...]:
-    """Return motions of a free body as a tuple, or raise `InputError`."""
-    motions = as_tuple("motions", motions, Motion, "a Motion")
-    for motion in motions:
+    """Return motions of a free body, with quaternions of unit length, as a tuple, or raise `InputError`."""
+    checked = []
+    for motion in as_tuple("motions", motions, Motion, "a Motion"):
         if not isinstance(motion, Motion) or motion.q.shape[1] != 7:
             what = in_short(motion)
             raise InputError(f"motions: {what} given, Motions with q (n, 7) expected", value=motion)
-    return motions
+        lengths = np.linalg.norm(motion.q[:, 3:], axis=1)
+        if not lengths.all():
+            frame = int(np.argmin(lengths))
+            raise InputError(f"motions: the quaternion of frame {frame} of {motion} is zero", value=motion)
+        q = np.hstack([motion.q[:, :3], motion.q[:, 3:] / lengths[:, None]])
+        checked.append(replace(motion, q=q))
+    return tuple(checked)
 
 
 def _table(rows: list[Any], dropped: list[str], scene: Scene) -> FoundImpacts:
@@ -160,9 +169,8 @@ def _table(rows: list[Any], dropped: list[str], scene: Scene) -> FoundImpacts:
 def _poses(scene: Scene, motion: Motion, body: Body) -> Poses:
     """Return the poses of a motion, with the gaps of the scene's contacts."""
     rotation = Rotation.from_quat(motion.q[:, 3:])
-    q = np.hstack([motion.q[:, :3], rotation.as_quat()])
-    com = q[:, :3] + rotation.apply(body.lever)
-    return Poses(motion.t, com, rotation, gaps(scene, q))
+    com = motion.q[:, :3] + rotation.apply(body.lever)
+    return Poses(motion.t, com, rotation, gaps(scene, motion.q))
 
 
 def gaps(scene: Scene, q: Array) -> Array:

@@ -22,7 +22,7 @@ def distributions(columns: Mapping[str, NDArray[Any]]) -> Figure:
     """Draw columns of numbers as histograms with median and 90 % range, those of text as bars.
 
     Args:
-        columns: Arrays (n,) by name; entries that are not finite are left out.
+        columns: Arrays (n,) by name; entries without a number are left out. Infinite ones are not drawn.
     """
     from matplotlib import pyplot
 
@@ -43,10 +43,13 @@ def distributions(columns: Mapping[str, NDArray[Any]]) -> Figure:
 
 def _histogram(ax: Axes, values: NDArray[Any]) -> None:
     values = np.asarray(values, dtype=float)
-    values = values[np.isfinite(values)]
+    values = values[~np.isnan(values)]
+    drawn = values[np.isfinite(values)]
     ax.set_yticks([])
-    if len(values) == 0:
+    if len(drawn) == 0:
         return
-    ax.hist(values, bins=min(BARS, max(len(np.unique(values)), 1)), color=FLOW)
-    for level, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
-        ax.axvline(float(np.quantile(values, level)), color=RESTITUTION, ls=style)
+    ax.hist(drawn, bins=min(BARS, len(np.unique(drawn))), color=FLOW)
+    quantiles = np.quantile(values, (0.05, 0.5, 0.95), method="inverted_cdf")
+    for value, style in zip(quantiles, (":", "-", ":"), strict=True):
+        if np.isfinite(value):
+            ax.axvline(float(value), color=RESTITUTION, ls=style)
