@@ -1,4 +1,4 @@
-"""Which forces act on what touches, by which its modes are chosen. (theory.md, 11)
+"""Forces on the touching contacts at an instant, from which the modes are chosen. (theory.md, 11.3, 11.4)
 
 Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one.
 """
@@ -28,68 +28,72 @@ from ..._numeric.loops import assign, filled, nonzero, repeated
 from .tolerances import NEGLIGIBLE
 
 AT_REST, AS_BEFORE, NONE = range(3)
-"""Forces from which the search begins: those at which what is pressed rests, those of before, and none."""
+"""Initial forces: those that keep pressed contacts at rest, those of the last choice of modes, or zero."""
 
 
 @declared(*SYSTEM, FLAGS, FLOATS, bool, result=bool)
 @external
 def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed, before, unique):
-    """Find forces that obey Coulomb's law and last, if there are any; else the nearest to it. (11.4)
+    """Find forces that satisfy Coulomb's law, preferably persistent ones. (theory.md, 11.3 and 11.4)
 
-    Newton's method begins with what has been pressed at rest, so that it stays there where it can, then with
-    the forces of before: near where they cease to exist these are a thousand times those of the loads.
-    Last is the method of multipliers. The first forces that last are taken.
+    Newton's method starts from the forces at which pressed contacts and joints rest, so that they stay at
+    rest if possible, then from those of the last choice of modes: near a singularity the forces are a
+    thousand times the loads, and only a nearby start converges. The method of multipliers comes last. The
+    search stops at the first forces whose equations have no negative determinant.
 
     Args:
-        delassus, free, slip, mu, least, held, lower, upper: As of `solve_coulomb`.
-        x: (3 nc + ns,) takes the forces.
-        pressed: (nc + ns,) what has been pressed, or held, until now.
-        before: (3 nc + ns,) forces of before.
-        unique: Whether no others have the same effects; else the limit of small compliances comes first.
+        delassus, free, slip, mu, least, held, lower, upper: See `solve_coulomb`.
+        x: (3 nc + ns,) is overwritten with the forces; if none are found, with those of the last attempt.
+        pressed: (nc + ns,) whether each contact or scalar row has been pressed, or held, so far.
+        before: (3 nc + ns,) forces of the last choice of modes.
+        unique: Whether W is regular; otherwise the limit of small compliances is tried first.
 
-    Returns whether forces were found.
+    Returns:
+        Whether forces were found.
     """
     nc, size = len(mu), len(x)
-    starts = (AT_REST, AT_REST, AS_BEFORE, NONE)  # first of the limit of small compliances
+    starts = (AT_REST, AT_REST, AS_BEFORE, NONE)  # the first one is for the limit of small compliances
     width, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     filled(x, 0.0)
     if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
         return True
     trial, found = np.empty(size), False
     for attempt in range(1 if unique else 0, len(starts)):
-        soft, start = attempt < 1, starts[attempt]
+        compliant, start = attempt < 1, starts[attempt]
         if start == AT_REST:
             at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
         elif start == AS_BEFORE:
             assign(trial, before)
         else:
             filled(trial, 0.0)
-        if soft:
-            off = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
+        if compliant:
+            error = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
         elif start == NONE:
-            off = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, trial)
+            error = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, trial)
         else:
-            off = newton(delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f)
-        if off > USABLE:
+            error = newton(
+                delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
+            )
+        if error > USABLE:
             if attempt == len(starts) - 1 and not found:
                 assign(x, trial)
             continue
-        lasts = orientation(
+        determinant_sign = orientation(
             delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
         )
-        if lasts > 0 or not found:
+        if determinant_sign > 0 or not found:
             assign(x, trial)
         found = True
-        if lasts >= 0:
+        if determinant_sign >= 0:
             break
     return found
 
 
 @inlined
 def at_rest(delassus, free, slip, mu, held, lower, upper, pressed, x):
-    """Fill forces x (m,) at which what is pressed has no acceleration.
+    """Fill forces x (m,) at which pressed contacts and scalar rows have no acceleration.
 
-    Where a contact slides its friction changes with its normal force, against the slip.
+    The friction of a sliding contact is proportional to its normal force, opposite to the slip.
     """
     nc, size = len(mu), len(x)
     moves, drag = np.zeros(size, dtype=np.int64), np.zeros((nc, 2))
@@ -100,11 +104,11 @@ def at_rest(delassus, free, slip, mu, held, lower, upper, pressed, x):
             drag[k, 0], drag[k, 1] = -mu[k] * slip[k, 0] / speed, -mu[k] * slip[k, 1] / speed
         moves[3 * k + 2] = pressed[k] or held[k]
         moves[3 * k] = moves[3 * k + 1] = held[k] or (pressed[k] and not slides)
-    for m in range(len(lower)):  # dry joints rest, unless that is beyond their bounds
+    for m in range(len(lower)):  # joints with dry friction rest if their bounds allow it
         moves[3 * nc + m] = pressed[nc + m] or -math.inf < lower[m] <= upper[m] < math.inf
     filled(x, 0.0)
     beyond = True
-    while beyond:  # joints beyond their bounds are at them
+    while beyond:  # fix joints beyond their bounds at these
         stop_rows(delassus, free, drag, nonzero(moves), x)
         beyond = False
         for m in range(len(lower)):
@@ -118,7 +122,10 @@ def at_rest(delassus, free, slip, mu, held, lower, upper, pressed, x):
 
 @inlined
 def stop_rows(delassus, free, drag, rows, x):
-    """Fill the forces x on some rows so that these have no acceleration, with the drag (nc, 2) of slip."""
+    """Fill the entries `rows` of forces x so that these rows have no acceleration.
+
+    drag (nc, 2) is the friction of each sliding contact per normal force, zero for others.
+    """
     m, closed = len(rows), 3 * len(drag)
     system, right, solution = np.empty((m, m)), np.empty(m), np.empty(m)
     for c in range(m):
@@ -141,7 +148,7 @@ def stop_rows(delassus, free, drag, rows, x):
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
 @external
 def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Return the sign of the determinant of the equations that forces x solve, zero where singular."""
+    """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular."""
     nc, size = len(mu), len(x)
     system, right, undecided = np.empty((size, size)), np.empty(size), repeated(nc, AS_FORCES_SAY)
     residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
@@ -153,8 +160,8 @@ def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_no
 
 
 @inlined
-def driven_in(delassus, free, slip, mu, held, x):
-    """Return a contact that its slip drives in by itself, beside other forces x, or −1. (13.1)"""
+def jammed_contact(delassus, free, slip, mu, held, x):
+    """Return a contact that jams by itself under the other forces x (13.1), or −1 if none does."""
     for k in range(len(mu)):
         b, speed = 3 * k, math.hypot(slip[k, 0], slip[k, 1])
         if held[k] or mu[k] == 0.0 or speed == 0.0:

@@ -1,4 +1,4 @@
-"""What is closed: its layout in the workspace, its rows, and impulses along rows that stop a motion."""
+"""The active set: its layout in the workspace, its rows, and impulses that stop rows."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from .contact_forces import FREE, HELD, SLIP
 from .tolerances import DIFFERENT, NEGLIGIBLE
 from .workspace import SceneWorkspace
 
-NORMAL, ALL = np.arange(2)  # as variables, for literals would be compiled one by one
-"""Which rows of a contact that slips: those whose velocity vanishes, or the tangential ones too."""
+NORMAL, ALL = np.arange(2)  # variables: numba would compile a kernel for each literal
+"""Rows of a slipping contact: the normal one, whose velocity vanishes, or the tangential ones too."""
 
 
 @inlined
 def scalar_rows(work, chosen):
-    """Return the scalar rows of what is chosen (limits + nv,): a joint held at its limit by both has one."""
+    """Return the numbers of the nonzero entries of chosen (limits + nv,), limits then velocities.
+
+    A joint held by both its limit and its dry friction has one scalar row, that of the limit.
+    """
     single = chosen.copy()
     for k in range(work.limits):
         if chosen[k] != 0:
@@ -32,9 +35,10 @@ def scalar_rows(work, chosen):
 
 @inlined
 def scalar_row(work, j, chosen):
-    """Return velocity index and bounds of the force of a joint limit, past those of a joint held at rest.
+    """Return velocity index and force bounds [N] of scalar row j: a joint limit, or from `limits` on a joint.
 
-    Where both hold the joint it is their sum that has bounds [N]: rows are in metres, see `joint_metres`.
+    If limit and dry friction both hold the joint, the bounds are those of their sum. Rows are scaled to
+    metres by `joint_metres`.
     """
     limits = work.limits
     if j >= limits:
@@ -49,7 +53,7 @@ def scalar_row(work, j, chosen):
 @declared(SceneWorkspace, FLOAT_ROWS)
 @external
 def close(work, reference):
-    """Lay out what is closed, for the `modes` that hold and the directions of slip (n, 2)."""
+    """Fill the fields of the active set from `work.modes` and the directions of slip, reference (n, 2)."""
     modes = work.modes
     held = modes[work.contacts :]
     contacts, scalars = nonzero(modes[: work.contacts]), scalar_rows(work, held)
@@ -73,7 +77,7 @@ def close(work, reference):
 @declared(SceneWorkspace, INTEGERS, FLOATS, INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS)
 @jit
 def take_over(work, modes, sliding, sides, control, constants, joints):
-    """Set the modes of what was closed elsewhere, see `forces.ClosedSet`."""
+    """Set modes, friction, drives, control and active contacts from a `forces.ClosedSet`."""
     assign(work.modes, modes)
     assign(work.sliding_friction, sliding)
     assign(work.drive_side, sides)
@@ -87,7 +91,7 @@ def take_over(work, modes, sliding, sides, control, constants, joints):
 @declared(SceneWorkspace)
 @jit
 def close_held(work):
-    """Close what the scene holds, and nothing else."""
+    """Make the held contacts the active set, and nothing else."""
     modes, bilateral = work.modes, work.bilateral
     for i in range(len(modes)):
         modes[i] = HELD if i < len(bilateral) and bilateral[i] != 0 else FREE
@@ -97,9 +101,10 @@ def close_held(work):
 @declared(SceneWorkspace, FLOATS, int, FLOAT_ROWS, FLOATS)
 @external
 def active_rows(work, v, which, rows, speeds):
-    """Fill rows (m, nv), zero before, and their velocities [m/s] of what is closed; return how many.
+    """Fill the rows (m, nv), zero before, of the active set and their speeds (m,) [m/s]; return their number.
 
-    That is at the state last evaluated; of contacts that slip `which` rows, `NORMAL` or `ALL`.
+    They are those of the state last evaluated. `which` selects the rows of slipping contacts: `NORMAL` or
+    `ALL`.
     """
     mode, jacobian, velocity = work.active_mode, work.contact_jacobian, work.contact_velocity
     total = 0
@@ -119,10 +124,10 @@ def active_rows(work, v, which, rows, speeds):
 @declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS)
 @external
 def stop_along(rows, velocity, minverse, v):
-    """Change v by the least impulses along rows so that their velocities vanish; return the energy gained.
+    """Stop rows (m, nv) by the least change of v (nv,) in the metric of M; return the energy gained [J].
 
-    With M⁻¹ = L Lᵀ and v = L w this is the least change of w. Rows that hardly differ from others count where
-    what they ask for is small.
+    `velocity` (m,) are the velocities of the rows. With M⁻¹ = L Lᵀ and v = L w this is the least change of w.
+    Rows that almost depend on others are also stopped if this changes w little more.
     """
     m, n = rows.shape
     if m == 0:

@@ -1,4 +1,4 @@
-"""What approaches at an instant, and what touches without bouncing."""
+"""Classification of contacts and limits at an instant: approaching, touching, open. (theory.md, 11.3)"""
 
 from __future__ import annotations
 
@@ -11,28 +11,30 @@ from .dynamics import all_gaps
 from .workspace import SceneWorkspace
 
 APART, TOUCHING, ARRIVING, STRUCK = range(4)
-"""Where a contact or limit is at an instant; arriving: its gap closes now; struck: it has had an impulse."""
+"""State of a contact or limit at an instant. Arriving: its gap closes now; struck: it has had an impulse."""
 
 TOUCHES, PRESSED, SLIDES = 1, 2, 3
-"""What touches without bouncing; what of it is pressed: it was closed, or has just been struck; what of it
-slips, however slowly."""
+"""Candidates for the active set. Touches: is closed without bouncing; pressed: also was active, or has just
+been struck; slides: is treated as sliding, however slowly."""
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS, bool, float, INTEGERS, INTEGERS)
 @jit
 def fastest_approach(work, q, v, starting, parting, where, slow):
-    """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].
+    """Return the contact or limit that approaches fastest and needs an impact, or −1, and its gap rate [m/s].
 
-    What approaches arrives with what arrives if it is as near, to the tolerance and the constraint drift: no
-    gap is known better, such as those of the far corners of a box that turns about an edge onto its face.
+    If a gap closes now, approaching contacts whose gaps are as small, up to tolerance and constraint drift,
+    arrive with it: gaps are not known more accurately. An example are the far corners of a box that turns
+    about an edge onto its face.
 
     Args:
+        work: The workspace.
         q, v: The state.
-        starting: Whether the motion starts now, so that what touches has just closed its gap.
-        parting: Speed above which what touches is open: it takes no part in impacts of others [m/s].
-        where: (n + nl,) `APART`, `TOUCHING`, `ARRIVING` or `STRUCK`; what is near is added.
-        slow: (n + nl,) takes `TOUCHES` or `PRESSED` for what touches and approaches or parts no faster than
-            the resting speed.
+        starting: Whether the motion starts now: touching contacts have then just closed their gaps.
+        parting: Separation speed above which a contact is open and takes no part in impacts of others [m/s].
+        where: (n + nl,) `APART`, `TOUCHING`, `ARRIVING` or `STRUCK`; updated.
+        slow: (n + nl,) is overwritten with `TOUCHES` or `PRESSED` for contacts and limits that touch and
+            approach or separate at most at the resting speed, else 0.
     """
     bilateral, modes, near, resting_speed = work.bilateral, work.modes, work.touching_gap, work.resting_speed
     contacts = len(bilateral)

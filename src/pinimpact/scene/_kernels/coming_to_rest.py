@@ -1,4 +1,4 @@
-"""How the velocity changes where modes are set: sticking contacts stop; friction opposes what starts."""
+"""The change of velocity (11.9) when modes are chosen: rows at rest stop, friction opposes incipient slip."""
 
 from __future__ import annotations
 
@@ -20,65 +20,66 @@ from .tolerances import ROUNDING
 )
 @external
 def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, metres, on, v):
-    """Change the velocity as little as possible so that sticking contacts and held joints stop. (11.9)
+    """Stop sticking contacts and held joints by the least change of velocity in the metric of M. (11.9)
 
     Args:
         minverse: (nv, nv) M⁻¹.
-        rows: (m, nv) rows of velocities, in metres also those of joints.
-        start: (m,) these velocities [m/s].
-        rests: (m,) which of them vanish; those that would begin against their friction are added.
-        against: (m,) the sign of a velocity against its force where slip or sliding begins, else zero.
-        moves: (m,) which of the stopping rows belong to slip that has not ended, both tangential ones of a
-            contact.
-        first: The row from which on they are those of joints.
-        error: How much of any velocity it may take to stop a joint that hardly moves [m/s].
-        least: The speed up to which slip does not turn back [m/s].
-        most: The speed up to which a joint may be held [m/s]; a faster one has been accelerated by impulses.
-        metres: (nv,) per unit of each velocity, see `joint_metres`.
-        on: (m,) takes the sign of the velocity of a joint that is not to stop, one for rows of such contacts.
-        v: (nv,) the velocity, which is changed.
+        rows: (m, nv) rows of velocities: contacts, then joints scaled to metres.
+        start: (m,) velocities of the rows [m/s].
+        rests: (m,) which rows stop; rows that would start to move against their friction are added.
+        against: (m,) for incipient slip and sliding the sign of a velocity against the friction, else zero.
+        moves: (m,) which of the stopping rows were sliding until now, both tangential rows of a contact.
+        first: The first row of joints.
+        error: Largest change of a velocity, 10 η, allowed to stop a joint slower than it (11.11) [m/s].
+        least: Speed of reversed slip that is attributed to errors [m/s].
+        most: Speed up to which a joint may be held [m/s]; a faster one has been accelerated by impulses.
+        metres: (nv,) κ of (10.6).
+        on: (m,) is overwritten with the sign of the velocity of each joint that must keep sliding, and 1 for
+            the rows of contacts that must.
+        v: (nv,) the velocity; changed.
 
     Returns:
-        The kinetic energy gained, and the fastest speed that was taken away.
+        The kinetic energy gained [J], and the largest speed removed [m/s].
     """
     n, size = len(v), len(rows)
-    before, way, speeds = v.copy(), np.empty(n), np.empty(size)
+    before, direction, speeds = v.copy(), np.empty(n), np.empty(size)
     resting, energy, fastest, again = rests, 0.0, 0.0, True
     rounding = ROUNDING * fastest_of(metres, v)
     while again:
         assign(v, before)
-        resting, asked = rests.copy(), rests.copy()
+        resting, tested = rests.copy(), rests.copy()
         energy, fastest = stop_chosen(minverse, rows, resting, start, before, 0.0, v)
         if first < size:
-            # a joint whose row hardly differs from those of contacts rests but for its error
+            # a joint whose row almost depends on contact rows leaves these an error: stop them again
             energy += stop_chosen(minverse, rows[:first], resting, start, before, least, v)[0]
         filled(on, 0)
         while True:
             slowest, a = math.inf, -1
             for b in range(first, size):
                 speed = against[b] * velocity_of(rows, start, before, v, b)
-                if speed > rounding and not asked[b] and speed < slowest:
+                if speed > rounding and not tested[b] and speed < slowest:
                     slowest, a = speed, b
             if a < 0:
                 break
-            asked[a], sign = True, 1 if against[a] > 0.0 else -1
+            tested[a], sign = True, 1 if against[a] > 0.0 else -1
             if slowest > most:
-                released(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on)
                 continue
-            apply(minverse, rows[a], way)
-            apply(rows, way, speeds)
-            stop_chosen(minverse, rows, resting, speeds, way.copy(), 0.0, way)
-            rate = dot(rows[a], way)
-            much = fastest_of(metres, way) * slowest > error * rate
+            apply(minverse, rows[a], direction)
+            apply(rows, direction, speeds)
+            stop_chosen(minverse, rows, resting, speeds, direction.copy(), 0.0, direction)
+            rate = dot(rows[a], direction)
+            much = fastest_of(metres, direction) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
                 accelerated = slowest > 2.0 * against[a] * start[a]
                 if not (
-                    accelerated and released(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                    accelerated
+                    and mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on)
                 ):
                     on[a] = sign
                 continue
             for j in range(n):
-                v[j] -= way[j] * against[a] * slowest / rate
+                v[j] -= direction[j] * against[a] * slowest / rate
             resting[a] = True
             energy, fastest = energy - 0.5 * slowest**2 / rate, max(fastest, slowest)
         again = False
@@ -93,11 +94,11 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
 
 
 @inlined
-def released(minverse, rows, start, rests, moves, first, before, a, sign, on):
-    """Keep contacts sliding whose sticking would accelerate a joint, row a, against its force.
+def mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on):
+    """Mark the contacts and joints whose stop makes a joint, row a, move against its force; return if any.
 
-    They are those without whose sticking, of one or else of all, the joint has less than half of that
-    velocity. Return whether there are such.
+    They are those without whose stop, of one or else of all, the joint has less than half of that velocity.
+    They must keep sliding: their rows of `on` are set. Other arguments as in `come_to_rest`.
     """
     size, u, found = len(rows), before.copy(), False
     stop_chosen(minverse, rows, rests, start, before, 0.0, u)
@@ -122,7 +123,7 @@ def released(minverse, rows, start, rests, moves, first, before, a, sign, on):
 
 @inlined
 def velocity_of(rows, start, before, v, a):
-    """Return the velocity of row a at v, from what it was `before`."""
+    """Return the velocity of row a at v (nv,), given start (m,) at the velocity `before` (nv,)."""
     velocity = start[a]
     for j in range(len(v)):
         velocity += rows[a, j] * (v[j] - before[j])
@@ -132,19 +133,19 @@ def velocity_of(rows, start, before, v, a):
 @declared(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
 @external
 def stop_chosen(minverse, rows, stopped, start, before, least, v):
-    """Stop rows that are `stopped`, if any of them is faster than the least speed that matters.
+    """Stop the rows marked by `stopped` if any of them is at least as fast as `least` [m/s].
 
-    Rows (k, nv) are the first of m, whose velocities were `start` (m,) at the velocity `before` (nv,). Other
-    arguments and results as of `come_to_rest`.
+    `rows` (k, nv) are the first of m rows. Other arguments and results are those of `come_to_rest` and
+    `velocity_of`.
     """
-    taken, speeds = np.empty(rows.shape), np.empty(len(rows))
+    chosen, speeds = np.empty(rows.shape), np.empty(len(rows))
     fastest, total = 0.0, 0
     for a in range(len(rows)):
         if stopped[a]:
             speed = velocity_of(rows, start, before, v, a)
-            assign(taken[total], rows[a])
+            assign(chosen[total], rows[a])
             speeds[total], fastest = speed, max(fastest, abs(speed))
             total += 1
     if fastest < least:
         return 0.0, 0.0
-    return stop_along(taken[:total], speeds[:total], minverse, v), fastest
+    return stop_along(chosen[:total], speeds[:total], minverse, v), fastest

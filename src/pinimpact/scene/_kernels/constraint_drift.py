@@ -1,4 +1,4 @@
-"""How far what is closed drifts off its surfaces between events, and what brings it back."""
+"""Constraint drift of the active set over a step, and its correction. (theory.md, 12)"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .workspace import SceneWorkspace
 
 @inlined
 def constraint_drift(work, v):
-    """Return how far the closed contacts are from where they rest [m], or from rest [m/s]."""
+    """Return the largest error of gap [m] or velocity [m/s] of active contacts and scalar rows at v (nv,)."""
     mode, velocity = work.active_mode, work.contact_velocity
     gap, rest = work.contact_gap, work.active_rest_gap
     worst = 0.0
@@ -32,10 +32,7 @@ def constraint_drift(work, v):
 @declared(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def correct_constraint_drift(work, t, q, v):
-    """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
-
-    The configuration (nq,) and the velocity (nv,) at a time [s] are changed.
-    """
+    """Correct the drift of q (nq,) and v (nv,), in place; return the kinetic energy gained [J]. (12.1)"""
     index_q, index_v, bound = work.limit_q, work.limit_v, work.limit_bound
     minverse, jacobian = work.minverse, work.contact_jacobian
     gap, rest = work.contact_gap, work.active_rest_gap
@@ -43,22 +40,22 @@ def correct_constraint_drift(work, t, q, v):
     n, nc, ns, nl = len(v), work.active_contacts, work.active_scalars, work.limits
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + nl, n))
-    off = np.empty(len(rows))
+    errors = np.empty(len(rows))
     set_state(work, q, v)
     evaluate(work, t, rates)
     total = 0
     for k in range(nc):
         assign(rows[total], jacobian[k, 2])
-        off[total] = gap[k] - rest[k]
+        errors[total] = gap[k] - rest[k]
         total += 1
     for m in range(nl):
         if closed[m] != 0:
             rows[total, index_v[m]] = metres[index_v[m]]
-            off[total] = metres[index_v[m]] * (q[index_q[m]] - bound[m])
+            errors[total] = metres[index_v[m]] * (q[index_q[m]] - bound[m])
             total += 1
     if total > 0 and not work.callback_failed:
         xi, start = np.zeros(n), q.copy()
-        stop_along(rows[:total], off[:total], minverse, xi)
+        stop_along(rows[:total], errors[:total], minverse, xi)
         lie_charts.advance(work.joint_charts, start, xi, q)
         for m in range(nl):
             if closed[m] != 0:
@@ -66,7 +63,7 @@ def correct_constraint_drift(work, t, q, v):
         assign(work.q, q)
         evaluate(work, t, rates)
     rows = np.zeros((3 * nc + ns + nl, n))
-    total = active_rows(work, v, NORMAL, rows, off)
+    total = active_rows(work, v, NORMAL, rows, errors)
     if total == 0 or work.callback_failed:
         return 0.0
-    return stop_along(rows[:total], off[:total], minverse, v)
+    return stop_along(rows[:total], errors[:total], minverse, v)

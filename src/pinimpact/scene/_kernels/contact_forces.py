@@ -1,7 +1,7 @@
-"""Forces of what is closed, in given modes, by a linear system.
+"""Forces of the active set in given modes, from the linear system (9.3). (theory.md, 9 and 11.4)
 
-Contacts have three rows (t₁, t₂, n) each. Scalar rows are a joint at its limit (force within [0, ∞)) or a
-joint held by its dry friction (force within ±τ).
+A slipping contact has one row (n), any other contact three (t₁, t₂, n). A scalar row belongs to a joint at
+its limit (force in [0, ∞)) or a joint held by dry friction (force in ±τ).
 """
 
 from __future__ import annotations
@@ -21,12 +21,15 @@ from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
-"""Modes of a contact: open, sliding, at rest against its surface, held by the scene."""
+"""Modes of a contact: open, sliding, sticking, held (bilateral)."""
 
 
 @inlined
 def slip_direction(velocity, reference, slowest):
-    """Return the direction of slip, signed to agree with `reference`: smooth where the slip reverses."""
+    """Return the unit direction of slip with the sign that agrees with `reference`: smooth at a reversal.
+
+    Up to the speed `slowest` [m/s] it is `reference` itself.
+    """
     s = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
     if s <= slowest:
         return reference[0], reference[1]
@@ -37,25 +40,25 @@ def slip_direction(velocity, reference, slowest):
 
 @inlined
 def joint_forces(work, powers):
-    """Fill τ = control − damping q̇ − dry friction, and the powers of the control and in the joints."""
+    """Fill τ = control − damping · v − dry friction and the powers (2,) of control and joints [W]."""
     velocity, control, tau = work.v, work.control_force, work.tau
     damping, friction = work.damping, work.sliding_friction
-    given = taken = 0.0
+    control_power = joint_power = 0.0
     for j in range(len(velocity)):
-        lost = damping[j] * velocity[j] + friction[j]
-        tau[j] = control[j] - lost
-        given += control[j] * velocity[j]
-        taken -= lost * velocity[j]
-    powers[0], powers[1] = given, taken
+        resistance = damping[j] * velocity[j] + friction[j]
+        tau[j] = control[j] - resistance
+        control_power += control[j] * velocity[j]
+        joint_power -= resistance * velocity[j]
+    powers[0], powers[1] = control_power, joint_power
 
 
 @inlined
 def set_up_equations(work, acceleration):
-    """Set up the equations of what is closed: `equation_rows`, `force_response`, `system`, `target`.
+    """Fill `equation_rows`, `force_response`, `system` and `target` of (9.3) for the active set.
 
-    The workspace has M⁻¹ and the motion of the closed contacts without contact forces, for v̇ (nv,). Returned
-    is the least effective inverse inertia of a slipping contact over that without friction (at most zero:
-    Painlevé's paradox).
+    The workspace has M⁻¹ and the motion of the active contacts without contact forces; `acceleration` (nv,)
+    is the corresponding v̇. Returns the smallest ratio, over the slipping contacts, of the effective inverse
+    inertia along the normal to the one without friction; zero or less is Painlevé's paradox.
     """
     minverse, jacobian, free = work.minverse, work.contact_jacobian, work.contact_acceleration
     mode, mu, directions = work.active_mode, work.active_friction, work.slip_direction
@@ -101,7 +104,9 @@ def set_up_equations(work, acceleration):
     for a in range(size):
         largest = max(largest, abs(system[a, a]))
     for a in range(size):
-        if abs(system[a, a]) <= ROUNDOFF * largest:  # nothing moves this way (across a planar robot)
+        if (
+            abs(system[a, a]) <= ROUNDOFF * largest
+        ):  # no force moves this row (out of the plane of a planar robot)
             for b in range(size):
                 system[a, b] = system[b, a] = 0.0
             system[a, a] = largest
@@ -120,9 +125,9 @@ def delassus_of_rows(rows, minverse, response, delassus):
 @declared(SceneWorkspace)
 @external
 def accelerates_inward(work):
-    """Return whether contacts drive the surface in as they slip.
+    """Return whether the matrix D of (13.5) shows a negative normal acceleration of slipping contacts.
 
-    What sticks, stops and joints at rest hold against that; their rows may depend on each other. (13.5)
+    The rows of sticking contacts, joint stops and held joints, which may be redundant, are eliminated first.
     """
     mode, system, rows, size = work.active_mode, work.system, work.equation_rows, len(work.target)
     held, slips = np.empty(size, dtype=np.int64), np.empty(len(mode), dtype=np.int64)
@@ -153,7 +158,7 @@ def accelerates_inward(work):
         whole = left = dot(rows[slips[k]], alone)
         for a in range(holding):
             left -= answer[k, a] * given[k, a]
-        if left > FINEST * whole:  # what others hold by themselves drives nothing in, however it slips
+        if left > FINEST * whole:  # else the row depends on the eliminated ones: no force moves it
             free[count], plain[count] = k, left
             count += 1
     effective = np.empty((count, count))
@@ -168,10 +173,10 @@ def accelerates_inward(work):
 
 @inlined
 def may_grow(effective):
-    """Return whether a sum of principal minors of a matrix (n, n) is negative, or a single one not positive.
+    """Return whether a sum of principal minors of D (n, n) is negative; for n = 1 whether D ≤ 0. (13.5)
 
-    These are the elementary symmetric functions of the eigenvalues, by Faddeev and Le Verrier's recursion: no
-    real eigenvalue is negative where none of them is.
+    These sums are the elementary symmetric functions of the eigenvalues, computed by the Faddeev–Le Verrier
+    recursion. If none is negative, no real eigenvalue is.
     """
     n, size, scale = len(effective), 1.0, 1.0
     if n == 1:
@@ -202,14 +207,15 @@ def may_grow(effective):
 @declared(SceneWorkspace)
 @external
 def solve_least_norm(work):
-    """Fill the limit of small compliances, without contacts that pull where the others can do without them.
+    """Fill `work.solution` with the limit of small compliances (11.12) of the singular system (9.3).
 
-    Likewise, where a contact rubs, with stops and joints at their bounds. It is the solution of least norm
-    where none does. Where forces within their bounds are known from before it is the same for what differs
-    from them, and it shows that such forces still exist.
+    Without slip against friction it is the solution of least norm. It is taken relative to `inner_forces`,
+    admissible forces known from an earlier state (or zero). Rows of contacts that would pull are then
+    removed, and with slip against friction forces of stops and joints beyond their bounds are set to these,
+    as long as the remaining rows can satisfy the equations.
 
     Returns:
-        Whether there are no other solutions.
+        Whether the solution is unique.
     """
     modes, system, target, solution = work.active_mode, work.system, work.target, work.solution
     known, lower, upper = work.inner_forces, work.scalar_lower, work.scalar_upper
@@ -222,62 +228,62 @@ def solve_least_norm(work):
             right[a] -= system[a, b] * known[b]
     work.rank_tolerance = SINGULAR_STILL
     unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
-    shares = not unique and rubs(work)
+    shares = not unique and slips_with_friction(work)
     if shares:
         share_by_compliances(system, SINGULAR_STILL, solution)
     for a in range(size):
         solution[a] += known[a]
-    off = missed_by(work, solution)
-    if off > NEGLIGIBLE:
-        # what little moves along a closed row is not to be moved at all, however large its force
+    residual = relative_residual(work, solution)
+    if residual > NEGLIGIBLE:
+        # keep rows of small inverse inertia too, although their forces may be large
         least_norm(system, right, FINEST, trial, no_basis)
         for a in range(size):
             trial[a] += known[a]
-        if missed_by(work, trial) < 0.1 * off:
+        if relative_residual(work, trial) < 0.1 * residual:
             work.rank_tolerance = FINEST
             assign(solution, trial)
     assign(trial, solution)
-    pushes, given = flags(size, True), np.zeros(size)
+    bearing, given = flags(size, True), np.zeros(size)
     while True:
-        pull, pulling, width = 0.0, size, 0
+        most_violated, violated_row, width = 0.0, size, 0
         a = 0
         for k in range(len(modes)):
             rows = 1 if modes[k] == SLIP else 3
-            if modes[k] != HELD and pushes[a] and trial[a + rows - 1] < pull:
-                pull, pulling, width = trial[a + rows - 1], a, rows
+            if modes[k] != HELD and bearing[a] and trial[a + rows - 1] < most_violated:
+                most_violated, violated_row, width = trial[a + rows - 1], a, rows
             a += rows
         for m in range(size - a if shares else 0):
             bound = min(max(trial[a + m], lower[m]), upper[m])
-            if pushes[a + m] and -abs(trial[a + m] - bound) < pull:
-                pull, pulling, width = -abs(trial[a + m] - bound), a + m, 1
-                given[pulling] = bound
-        if pulling == size:
+            if bearing[a + m] and -abs(trial[a + m] - bound) < most_violated:
+                most_violated, violated_row, width = -abs(trial[a + m] - bound), a + m, 1
+                given[violated_row] = bound
+        if violated_row == size:
             assign(solution, trial)
             return unique
-        for a in range(pulling, pulling + width):
-            pushes[a] = False
+        for a in range(violated_row, violated_row + width):
+            bearing[a] = False
         for a in range(size):
             right[a] = target[a]
             for b in range(size):
-                columns[a, b] = system[a, b] if pushes[b] else 0.0
-                right[a] -= system[a, b] * (known[b] if pushes[b] else given[b])
+                columns[a, b] = system[a, b] if bearing[b] else 0.0
+                right[a] -= system[a, b] * (known[b] if bearing[b] else given[b])
         least_norm(columns, right, work.rank_tolerance, part, no_basis)
         if shares:
             for a in range(size):
                 for b in range(size):
-                    columns[a, b] *= pushes[a]
+                    columns[a, b] *= bearing[a]
             share_by_compliances(columns, work.rank_tolerance, part)
         for a in range(size):
-            trial[a] = part[a] + known[a] if pushes[a] else given[a]
-        if not missed_by(work, trial) <= NEGLIGIBLE:
+            trial[a] = part[a] + known[a] if bearing[a] else given[a]
+        if not relative_residual(work, trial) <= NEGLIGIBLE:
             return unique
 
 
 @external
 def share_by_compliances(system, rank_tolerance, x):
-    """Take a solution x (n,) of A x = b, A singular, to the limit of (A + ε 1) x = b, ε → 0. (11.12)
+    """Replace a solution x (n,) of A x = b, A singular, by the limit of (A + ε 1) x = b for ε → 0. (11.12)
 
-    With Lᵀ A = 0 and A N = 0 it is the one with Lᵀ x = 0; x stays as it is where Lᵀ N is singular.
+    The limit has Lᵀx = 0, where LᵀA = 0. If LᵀN is singular, where A N = 0, x is left unchanged.
     """
     size = len(x)
     nothing, found = np.empty((0, size)), np.empty((0, size))
@@ -285,12 +291,12 @@ def share_by_compliances(system, rank_tolerance, x):
     free = size - least_norms(system, nothing, rank_tolerance, found, right_null)
     if free != size - least_norms(system.T.copy(), nothing, rank_tolerance, found, left_null):
         return
-    overlap, off, part = np.empty((free, free)), np.empty(free), np.empty(free)
+    overlap, right, part = np.empty((free, free)), np.empty(free), np.empty(free)
     for a in range(free):
-        off[a] = -dot(left_null[a], x)
+        right[a] = -dot(left_null[a], x)
         for b in range(free):
             overlap[a, b] = dot(left_null[a], right_null[b])
-    if solve(overlap, off, part, RANK) == 0:
+    if solve(overlap, right, part, RANK) == 0:
         return
     for a in range(free):
         for b in range(size):
@@ -298,7 +304,7 @@ def share_by_compliances(system, rank_tolerance, x):
 
 
 @inlined
-def rubs(work):
+def slips_with_friction(work):
     """Return whether a contact slips against friction."""
     modes, mu = work.active_mode, work.active_friction
     found = False
@@ -308,8 +314,8 @@ def rubs(work):
 
 
 @inlined
-def missed_by(work, x):
-    """Return by how much forces miss the equations, in parts of what makes up each contact's or joint's."""
+def relative_residual(work, x):
+    """Return the largest residual of (9.3) at forces x, relative to the terms of its contact or joint."""
     system, target, modes = work.system, work.target, work.active_mode
     worst, a = 0.0, 0
     for k in range(len(modes) + len(work.scalar_velocity)):
@@ -329,10 +335,10 @@ def missed_by(work, x):
 
 @inlined
 def apply_forces(work, acceleration, powers):
-    """Take the forces from `solution`: add what they cause to v̇, fill `contact_force` and `scalar_force`.
+    """Add the effect of the forces `work.solution` to v̇ (nv,); fill `contact_force` and `scalar_force`.
 
-    Powers (2,) takes those of sliding friction and of moving surfaces [W]. Returned is by how much the forces
-    keep within Coulomb's law and the bounds [N]; below zero, they do not.
+    `powers` (2,) is overwritten with those of sliding friction and of moving surfaces [W]. Returns the margin
+    of the forces within Coulomb's law and their bounds (11.6) [N]; negative if one is violated.
     """
     solution, response, directions = work.solution, work.force_response, work.slip_direction
     velocity, surface = work.contact_velocity, work.surface_velocity
@@ -342,7 +348,7 @@ def apply_forces(work, acceleration, powers):
         for j in range(len(acceleration)):
             acceleration[j] += response[m, j] * solution[m]
     margin = np.inf
-    rubbed = carried = 0.0
+    friction_power = surface_power = 0.0
     m = 0
     for i in range(len(mode)):
         if mode[i] == SLIP:
@@ -359,11 +365,11 @@ def apply_forces(work, acceleration, powers):
                 tangent = math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2)
                 margin = min(margin, force[i, 2], mu[i] * force[i, 2] - tangent)
         for d in range(3):
-            rubbed += force[i, d] * velocity[i, d]
-            carried += force[i, d] * surface[i, d]
+            friction_power += force[i, d] * velocity[i, d]
+            surface_power += force[i, d] * surface[i, d]
     for i in range(len(lower)):
         scalar[i] = work.joint_metres[work.scalar_velocity[i]] * solution[m]
         margin = min(margin, solution[m] - lower[i], upper[i] - solution[m])
         m += 1
-    powers[0], powers[1] = rubbed, carried
+    powers[0], powers[1] = friction_power, surface_power
     return margin

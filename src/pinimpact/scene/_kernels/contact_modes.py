@@ -1,4 +1,4 @@
-"""Which contacts stay active at an instant, in which modes, and which joints their dry friction holds.
+"""Choice of the modes of contacts, limits and joints with dry friction at an instant. (theory.md, 11.3)
 
 Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one.
 """
@@ -14,7 +14,7 @@ from ..._compile.declared import FLOATS, INTEGERS, FloatRows, Floats, Integers, 
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign, filled, flags, nonzero
 from . import touching_rows
-from .acting_forces import driven_in
+from .acting_forces import jammed_contact
 from .active_set import close, stop_along
 from .approach import PRESSED, SLIDES, TOUCHES
 from .coming_to_rest import come_to_rest
@@ -25,25 +25,25 @@ from .tolerances import AT_BOUND, STILL
 from .workspace import SceneWorkspace
 
 ROUNDS = 4
-"""How often modes are determined again: contacts that close change the velocity, and with it the direction of
-slip and the forces that depend on it."""
+"""Largest number of iterations of the choice: stopping rows changes the velocity, hence directions of slip
+and forces."""
 
 SEPARATES, RUBS, KEEPS_SLIDING = 1, 2, 3
 """State of a rejected candidate, see `find_modes`."""
 
 
 class Choice(NamedTuple):
-    """The modes of what touches, and what follows from them.
+    """Modes that have been chosen, and their consequences.
 
     Attributes:
         modes: (n + nl + nv,) modes of contacts, limits and joints.
-        reference: (n, 2) directions of slip where they are known.
-        breaking: (nv,) the force on each joint that its dry friction holds no longer.
-        rejected: (n + nl + nv,) the state of rejected candidates: `SEPARATES` for an open contact
-            that separates, `RUBS` for an open contact that loses a velocity along its surface, both if it
-            stays open; `KEEPS_SLIDING` for a contact whose sticking would accelerate a joint against its
-            force. For a joint that sticking contacts drag against its friction, or that would so accelerate
-            another one, the sign of its velocity. (11.9)
+        reference: (n, 2) unit directions of slip of sliding contacts.
+        breaking: (nv,) force on each joint that its dry friction no longer holds [N], else zero.
+        rejected: (n + nl + nv,) state of rejected candidates. For a contact that was open: `SEPARATES` if it
+            loses a separation velocity, `RUBS` if it loses a tangential velocity (both apply only if it stays
+            open). For any contact: `KEEPS_SLIDING` if its sticking would accelerate a joint against its
+            force. For a joint that sticking contacts drag against its friction, or whose stop would
+            accelerate another one, the sign of its velocity. (11.9)
     """
 
     modes: Integers
@@ -55,34 +55,40 @@ class Choice(NamedTuple):
 @declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
 @jit
 def set_modes(work, t, q, v, slow):
-    """Set the modes of what touches without bouncing (`slow`, see `approach`); results as of `find_modes`."""
+    """Choose the modes of the candidates `slow` (n + nl,), see `approach`; close the active set.
+
+    `v` is changed: rows at rest stop. `modes`, `sliding_friction` and the active set are updated. Returns the
+    first three results of `find_modes`, with the energy of all iterations.
+    """
     dry, sliding, metres = work.dry_friction, work.sliding_friction, work.joint_metres
     n, touching = len(v), len(slow)
     candidates, modes = np.zeros(touching + n, dtype=np.int64), np.zeros(touching + n, dtype=np.int64)
     assign(candidates[:touching], slow)
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
-    rejected, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
+    rejected, before, friction_before = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
     chosen, dragged = Choice(modes, reference, breaking, rejected), np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, error_of_step(work, v)
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > STILL * work.stick_speed:
-        for j in range(n):  # stopping one may have set other joints in motion
+        for j in range(n):  # in every iteration: stopping rows may have set joints in motion
             if dry[j] > 0.0:
                 slow_enough = metres[j] * abs(v[j]) <= work.stick_speed
                 moves = sliding[j] * metres[j] * v[j] > dry[j] * certain
                 rests = slow_enough and not moves and dragged[j] == 0
                 held = work.modes[work.contacts + work.limits + j] != 0
                 candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
-                # in the first round nothing has been stopped yet
-                way = float(dragged[j]) if tried == 0 and dragged[j] != 0 else v[j]
-                sliding[j] = 0.0 if rests else math.copysign(dry[j], way)
+                # in the first iteration v is still the velocity before anything stops
+                direction = float(dragged[j]) if tried == 0 and dragged[j] != 0 else v[j]
+                sliding[j] = 0.0 if rests else math.copysign(dry[j], direction)
         if len(nonzero(candidates)) == 0:
             break
-        jamming, converged, gained, stopped, off = find_modes(work, t, q, v, candidates, certain, chosen)
-        energy, tried, error = energy + gained, tried + 1, max(error, off)
+        jamming, converged, gained, stopped, active_speed = find_modes(
+            work, t, q, v, candidates, certain, chosen
+        )
+        energy, tried, error = energy + gained, tried + 1, max(error, active_speed)
         released, last = False, tried == ROUNDS or stopped <= STILL * work.stick_speed
         if jamming >= 0 or work.callback_failed:
-            assign(sliding, slid)
+            assign(sliding, friction_before)
             return jamming, converged, energy
         drags = False
         for i in range(len(rejected)):
@@ -92,9 +98,9 @@ def set_modes(work, t, q, v, slow):
                 candidates[i], released = 0 if rejected[i] == SEPARATES else SLIDES, True
         much = drags or (last and fastest_of(metres, v - before) > CERTAIN * error)
         if not released and much and certain > error:
-            # sticking that changes other velocities by more than the error of a step is rejected (11.8)
+            # stopping that changes other velocities by more than the error of a step is rejected (11.8)
             certain, released = error, True
-            filled(dragged, 0)  # by contacts that may not stick
+            filled(dragged, 0)  # the contacts that drag these joints may now slide
         elif not released and drags:
             released = True
             for i in range(touching):
@@ -106,7 +112,7 @@ def set_modes(work, t, q, v, slow):
         if released:
             filled(rejected, 0)
             assign(v, before)
-            assign(sliding, slid)
+            assign(sliding, friction_before)
             energy, stopped, tried = 0.0, math.inf, 0
     for j in range(n):
         if breaking[j] != 0.0:
@@ -119,20 +125,20 @@ def set_modes(work, t, q, v, slow):
 @declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, Choice)
 @external
 def find_modes(work, t, q, v, candidates, certain, chosen):
-    """Find which of the candidates stay active: contacts, limits, and joints held by dry friction.
+    """Find the modes of the candidates at given velocities: forces, modes, rows at rest. (theory.md, 11.3)
 
     Args:
-        work: The workspace, with the modes that hold until now.
-        t, q, v: Time [s] and state; what active contacts and joints stop of the velocity is removed.
-        candidates: Not zero for what touches, in the order of the modes; as `approach` says, and
-            `PRESSED` for joints that their dry friction has held.
-        certain: The speed above which a sliding contact keeps sliding [m/s].
-        chosen: Takes the `Choice`.
+        work: The workspace, with the modes so far.
+        t, q, v: Time [s] and state; v is changed: rows at rest stop.
+        candidates: (n + nl + nv,) nonzero for candidates in the order of `modes`: for contacts and limits
+            see `approach`, for joints at rest `PRESSED` if dry friction has held them, else `TOUCHES`.
+        certain: Speed above which a sliding contact keeps sliding [m/s].
+        chosen: Is overwritten with the `Choice`.
 
     Returns:
-        The contact with negative normal acceleration for which no force exists, or −1; whether the forces
-        were found to the usual accuracy; the kinetic energy gained; the largest speed that was removed; the
-        largest speed of what was active before.
+        The contact that jams, so that no force exists, or −1; whether the forces were found to the usual
+        accuracy; the kinetic energy gained [J]; the largest speed removed [m/s]; the largest speed of rows
+        active so far [m/s].
     """
     clear(work, chosen)
     set_state(work, q, v)
@@ -145,14 +151,14 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     delassus_of_rows(what.rows, work.minverse, response, delassus)
     unique = touching_rows.determines_forces(delassus)
     converged = touching_rows.forces_on(work, what, delassus, candidates, unique, force)
-    # if not found, then the nearest to it
-    jamming = -1 if converged else driven_in(delassus, what.free, what.slip, what.mu, what.held, force)
+    # if no forces were found, `force` has those of the last attempt
+    jamming = -1 if converged else jammed_contact(delassus, what.free, what.slip, what.mu, what.held, force)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(what.rows[b : b + 1], what.velocity[jamming, 2:], work.minverse, v)
         return what.contacts[jamming], True, gained, 0.0, 0.0
     touching_rows.keep_forces(work, what, force)
-    stopped, against = flags(size, False), np.zeros(size)  # rows at rest, and those that leave it, see below
+    stopped, against = flags(size, False), np.zeros(size)  # see `come_to_rest`
     pace = np.empty(size)
     touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, pace)
     modes_of_contacts(work, what, force, unique, pace, stopped, chosen)
@@ -160,14 +166,14 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     scalar = candidates[work.contacts :]
     modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen)
     start = np.empty(size)
-    off = touching_rows.speeds_of_rows(work, what, v, start)
+    active_speed = touching_rows.speeds_of_rows(work, what, v, start)
     gained, fastest = stop(work, what, candidates, start, stopped, against, chosen, v)
-    return -1, converged, gained, fastest, off
+    return -1, converged, gained, fastest, active_speed
 
 
 @inlined
 def clear(work, chosen):
-    """Clear a `Choice`, but for contacts and limits that separate, or rub, if they stay open."""
+    """Clear a `Choice`, except for contacts rejected with `SEPARATES` or `RUBS`."""
     modes, reference, breaking, rejected = chosen
     filled(modes, FREE)
     for i in range(len(reference)):
@@ -180,7 +186,7 @@ def clear(work, chosen):
 
 @inlined
 def reject_contacts(work, what, stopped, certain, rejected):
-    """Note the open contacts that separate faster than `certain`, or lose so fast a velocity by sticking."""
+    """Reject open contacts that would lose a separation or tangential velocity above `certain` [m/s]."""
     velocity = what.velocity
     for k in range(len(what.contacts)):
         i = what.contacts[k]
@@ -195,9 +201,9 @@ def reject_contacts(work, what, stopped, certain, rejected):
 def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen):
     """Fill the modes of limits and of joints with dry friction from the forces on their rows.
 
-    A force at its bound holds what it does not let move; else the row starts or keeps moving. `against` (m,)
-    takes the sign of the force on a joint that starts moving, else zero; `scalar` are candidates past the
-    contacts, other arguments as of `modes_of_contacts`.
+    A row opens, or starts to slide, if its force is at a bound and its acceleration points away from it.
+    `against` (m,) is overwritten with the sign of the force on a joint that starts to slide. `scalar` are the
+    candidates after the contacts; other arguments as in `modes_of_contacts`.
     """
     modes, _, breaking, _ = chosen
     free, first = what.free, 3 * len(what.contacts)
@@ -219,10 +225,11 @@ def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chos
 
 @inlined
 def stop(work, what, candidates, start, stopped, against, chosen, v):
-    """Stop the rows that come to rest; see `come_to_rest`, whose values it returns.
+    """Stop the rows that come to rest; return the results of `come_to_rest`.
 
-    Rows of contacts that begin to slip, and their velocities in `start` (m,), turn to their directions. What
-    is rejected is added to the `Choice`. Other arguments as of `find_modes` and `modes_of_scalar_rows`.
+    The tangential rows of contacts with incipient slip, and their velocities in `start` (m,), are turned to
+    the direction of slip. Rejected candidates are added to the `Choice`. Other arguments as in `find_modes`
+    and `modes_of_scalar_rows`.
     """
     contacts, joints, scalars, rows, velocity, _, slip, mu, held, _, _ = what
     modes, reference, _, rejected = chosen
@@ -250,13 +257,13 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     for m in range(len(joints)):
         rejected[work.contacts + work.limits + scalars[m]] = on[closed + m]
         if stopped[closed + m] and against[closed + m] != 0.0:
-            v[scalars[m]] = 0.0  # not even a rounding error begins against the force
+            v[scalars[m]] = 0.0  # without a rounding error against the force
     return gained, fastest
 
 
 @inlined
 def turn_rows(direction, rows, velocity):
-    """Turn two rows (2, nv) of a contact and their velocities: along a direction (2,), and across it."""
+    """Turn two tangential rows (2, nv) and their velocities (2,): along a direction (2,), and across it."""
     x, y = direction
     for j in range(rows.shape[1]):
         first, second = rows[0, j], rows[1, j]
@@ -267,9 +274,9 @@ def turn_rows(direction, rows, velocity):
 
 @inlined
 def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
-    """Fill modes and directions of slip, and which velocities are `stopped` (m,), from forces on contacts.
+    """Fill modes and directions of slip, and which rows stop, `stopped` (m,), from the forces on contacts.
 
-    `what` is `Touching`, with accelerations that include the forces; other arguments as of
+    `what` is the `Touching`, whose `free` includes the forces by now; other arguments as in
     `resulting_accelerations`.
     """
     contacts, _, _, _, velocity, acceleration, slip, mu, held, _, _ = what
@@ -287,10 +294,10 @@ def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
-        # a sliding contact that has stopped keeps sliding where its force stays on the cone, if no other one
-        # would do; a contact at rest that is not accelerated sticks; whether it leaves the cone is decided
-        # just after, see `events.force_bound`
-        pushes = normal > work.force_tolerance  # a contact without load may be moved by others
+        # a contact sticks if its force is inside the cone, or if it is not accelerated (unless it has been
+        # sliding and forces are unique); whether its force then leaves the cone is an event, see
+        # `events.force_bound`
+        pushes = normal > work.force_tolerance
         begins = math.hypot(acceleration[b], acceleration[b + 1])
         inside = pushes and tangent <= (1.0 - AT_BOUND) * mu[k] * normal
         inside |= (not unique or before[i] != SLIP) and begins <= pace[b]

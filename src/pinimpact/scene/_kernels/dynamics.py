@@ -1,4 +1,4 @@
-"""v̇ of a robot with the contacts that are closed, evaluated from compiled code."""
+"""Accelerations and gaps of a robot with active contacts, evaluated in compiled code. (theory.md, 9, 10)"""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from .tolerances import NEGLIGIBLE, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
-"""Where `calls` has the function; its arguments follow."""
+"""Positions of the functions' addresses in `calls`; the address of the arguments follows each."""
 
 FAR = 0.1
-"""Of the radius of a sphere that bounds contacts: beyond this gap none of them touches, nor is soon to."""
+"""Gap of a bounding sphere, relative to its radius, beyond which gaps of its contacts are not computed."""
 
 
 @inlined
 def set_state(work, q, v):
-    """Copy a state to where Pinocchio reads it."""
+    """Copy q (nq,) and v (nv,) into the workspace, where Pinocchio reads them."""
     assign(work.q, q)
     assign(work.v, v)
 
 
 @inlined
 def call_python(work, k):
-    """Call the k-th of `calls`; return whether that went well."""
+    """Call function k of `calls`; return whether no call has failed so far."""
     if not call(work.calls[k], work.calls[k + 1]):
         work.callback_failed = True
     return not work.callback_failed
@@ -46,13 +46,13 @@ def call_python(work, k):
 
 @inlined
 def compute_kinematics(work):
-    """Leave placements and velocities of the joints at the state that is set."""
+    """Fill `placements` and `local_velocities` of the joints at the state set in the workspace."""
     call_python(work, KINEMATICS)
 
 
 @inlined
 def gap_of(work, i, constants):
-    """Return gap and gap rate at the joints of a contact, at the kinematics last computed."""
+    """Return gap [m] and gap rate [m/s] of a tip with these constants at the joints of contact i."""
     placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
     tip, base = joints[i, 0], joints[i, 1]
     return contact_motion.gap_and_rate(
@@ -62,22 +62,22 @@ def gap_of(work, i, constants):
 
 @inlined
 def contact_gap(work, i):
-    """Return gap and gap rate of a contact."""
+    """Return gap [m] and gap rate [m/s] of contact i, at the kinematics last computed."""
     return gap_of(work, i, work.contact_constants[i])
 
 
 @inlined
 def sphere_gap(work, k, first):
-    """Return gap and gap rate of a sphere that bounds contacts, given the first of them."""
+    """Return gap [m] and gap rate [m/s] of bounding sphere k, whose first contact is `first`."""
     return gap_of(work, first, work.sphere_constants[k])
 
 
 @declared(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS)
 @external
 def contact_gaps(work, found, spheres):
-    """Fill gap and gap rate (n, 2) of all contacts, and of the spheres that bound some, at the state set.
+    """Fill gap and gap rate of all contacts, found (n, 2), and bounding spheres (k, 2), at the state set.
 
-    Contacts whose sphere is far from its surface are not looked at: their gap is infinite here.
+    The gap of a contact whose sphere is farther from the surface than `FAR` is set to infinity.
     """
     blocks, constants = work.contact_blocks, work.sphere_constants
     compute_kinematics(work)
@@ -96,23 +96,23 @@ def contact_gaps(work, found, spheres):
 
 @inlined
 def limit_gap(work, k, q, v):
-    """Return gap and gap rate of a joint limit at a state, in metres as of a contact."""
+    """Return gap [m] and gap rate [m/s] of joint limit k at a state, scaled by κ of (10.6)."""
     scale = limit_scale(work, k)
     return scale * (q[work.limit_q[k]] - work.limit_bound[k]), scale * v[work.limit_v[k]]
 
 
 @inlined
 def limit_scale(work, k):
-    """Return the derivative of the gap of a joint limit by its coordinate [m/rad, or 1]."""
+    """Return the derivative of the gap of joint limit k with respect to its coordinate [m/rad, or 1]."""
     return work.limit_sign[k] * work.joint_metres[work.limit_v[k]]
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @external
 def all_gaps(work, q, v, found):
-    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state.
+    """Fill found (n + nl, 2) with gap and gap rate of contacts, then of joint limits, at a state.
 
-    A gap is infinite as `contact_gaps` says.
+    Gaps of distant contacts are infinite, see `contact_gaps`.
     """
     set_state(work, q, v)
     contacts = work.contacts
@@ -127,7 +127,7 @@ def all_gaps(work, q, v, found):
 
 @external
 def set_signs(work, i):
-    """Set which velocities move the tip of a contact, or its surface, only."""
+    """Fill `velocity_signs` of contact i."""
     signs = filled(work.velocity_signs, 0.0)
     for end in range(2):
         c = work.joint_velocity[work.contact_joints[i, end]]
@@ -138,14 +138,14 @@ def set_signs(work, i):
 
 @inlined
 def moving_columns(work, i, columns, signs):
-    """Fill which velocities move the tip of a contact or its surface only, in order, and their signs.
+    """Fill, in ascending order, the velocities that move only the tip or only the surface of contact i.
 
-    Return how many they are.
+    Signs are those of `velocity_signs`. Returns the number of these velocities.
     """
     a = work.joint_velocity[work.contact_joints[i, 0]]
     b = work.joint_velocity[work.contact_joints[i, 1]]
     count = 0
-    while a != b:  # what they share moves both
+    while a != b:  # common ancestors move both
         if a > b:
             columns[count], signs[count] = a, 1.0
             a = work.velocity_parent[a]
@@ -163,9 +163,9 @@ def moving_columns(work, i, columns, signs):
 @declared(SceneWorkspace, int, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
 @external
 def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
-    """Fill the motion of a contact, see `contact_motion.contact_motion`; return the gap [m]."""
+    """Fill the motion of contact i, see `contact_motion.contact_motion`; return the gap [m]."""
     set_signs(work, i)
-    turning = surface  # which is filled after it
+    turning = surface  # unused here: `surface` is filled afterwards
     return motion_by_columns(
         work, i, work.joint_jacobian, work.velocity_signs, jacobian, velocity, acceleration, turning, surface
     )
@@ -173,7 +173,7 @@ def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
 
 @inlined
 def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration, turning, surface):
-    """Fill the motion of a contact, with some columns of the joint Jacobian and their signs."""
+    """Fill the motion of contact i from columns of the joint Jacobian and their signs; return the gap [m]."""
     places, velocities, accelerations = work.placements, work.spatial_velocities, work.spatial_accelerations
     tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
     return contact_motion.contact_motion(
@@ -185,14 +185,14 @@ def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration,
 
 @inlined
 def follow_surface(work, i):
-    """Let the axes of a contact follow its surface, see `contact_kinematics.follow`."""
+    """Rotate the axes of contact i with its surface normal, see `contact_kinematics.follow`."""
     tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
     contact_kinematics.follow(work.placements[tip], work.placements[base], work.contact_constants[i])
 
 
 @inlined
 def motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, gap):
-    """Fill the motion of some contacts at the state last evaluated without contact forces."""
+    """Fill the motion of contacts `index` (k,) at the state last evaluated without contact forces."""
     for k in range(len(index)):
         gap[k] = motion_of_contact(work, index[k], jacobian[k], velocity[k], acceleration[k], surface[k])
 
@@ -203,7 +203,7 @@ def motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, g
 @declared(SceneWorkspace, float, FLOATS)
 @external
 def evaluate_without_contacts(work, t, powers):
-    """Leave v̇ without contact forces, and the kinematics; fill the powers of control and joints."""
+    """Compute v̇ without contact forces and the kinematics; fill powers (2,) of control and joints [W]."""
     if work.calls[CONTROL] != 0:
         work.control_time = t
         if not call_python(work, CONTROL):
@@ -216,14 +216,17 @@ def evaluate_without_contacts(work, t, powers):
 
 @inlined
 def invert_mass_matrix(work):
-    """Leave M⁻¹ at the state last evaluated; return whether that went well."""
+    """Fill `minverse` at the state last evaluated; return whether this succeeded."""
     return call_python(work, INVERT)
 
 
 @declared(SceneWorkspace, float, FLOATS)
 @external
 def evaluate(work, t, out):
-    """Fill `out` (nv + 4) with v̇ and the powers of control, joints, sliding friction and surfaces."""
+    """Fill out (nv + 4,) with v̇ (9.2) and the powers of control, joints, sliding friction and surfaces [W].
+
+    The forces (9.3), their margin, and whether they are unique are stored in the workspace.
+    """
     acceleration = work.acceleration
     n = len(acceleration)
     evaluate_without_contacts(work, t, out[n:])
@@ -243,19 +246,19 @@ def evaluate(work, t, out):
         total += target[a]
         for b in range(len(target)):
             total += system[a, b]
-    if not math.isfinite(total):  # a stage far off; the step will be refused
+    if not math.isfinite(total):  # a stage of too long a step, which will be rejected
         filled(out, math.nan)
         return
-    orientation, rubs = 0, contact_forces.rubs(work)
-    if rubs:
+    orientation, friction = 0, contact_forces.slips_with_friction(work)
+    if friction:
         rank = RANK if work.forces_unique else SINGULAR_STILL
         orientation = solve(system, target, work.solution, rank)
-    elif work.forces_unique:  # else it says nothing new, and without slip there is no jam
+    elif work.forces_unique:
         orientation = 1 if solve_definite(system, target, work.solution) else 0
     work.forces_unique = orientation != 0
     if orientation == 0:
-        work.forces_unique = contact_forces.solve_least_norm(work) and not rubs
+        work.forces_unique = contact_forces.solve_least_norm(work) and not friction
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
-    # without friction the determinant is positive, so where it is not, slip has passed a singularity
-    drives = effective <= NEGLIGIBLE and contact_forces.accelerates_inward(work)
-    work.force_margin = -math.inf if orientation < 0 or drives else work.force_tolerance + margin
+    # without friction the determinant is positive: a negative one shows that slip has passed a singularity
+    jams = effective <= NEGLIGIBLE and contact_forces.accelerates_inward(work)
+    work.force_margin = -math.inf if orientation < 0 or jams else work.force_tolerance + margin

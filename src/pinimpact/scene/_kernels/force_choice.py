@@ -1,9 +1,9 @@
-"""Which forces act where they are not unique and the motion depends on them. (theory.md, 11)
+"""Choice of forces where they are not unique and the motion depends on them. (theory.md, 11.4)
 
-Contacts that share their load and slip may share it in several ways, each with another friction, and the
-motion is another for each. Those of least norm are taken where they keep within their bounds and let begin
-what begins to slip; else those by which the modes were found, lest what they set in motion stays. Until the
-modes are set anew it is the nearest to them that act.
+Several slipping contacts can share a load in more than one way, each with a different friction and motion.
+The limit of small compliances (11.12) is chosen if it satisfies its bounds and is consistent with the slip
+that begins; otherwise the forces from which the modes were determined. Until the modes are chosen again, the
+solution nearest to the chosen one is used.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import filled
 from .active_set import scalar_rows
-from .contact_forces import SLIP, rubs
+from .contact_forces import SLIP, slips_with_friction
 from .dynamics import evaluate
 from .tolerances import DOUBTFUL, NEGLIGIBLE
 from .widest_margin import widest_margin
@@ -24,14 +24,14 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, float, FLOATS)
 @external
 def choose_forces(work, t, out):
-    """Choose the forces of a motion that begins, evaluated at its start; see `dynamics.evaluate`."""
+    """Choose the forces at the start of a motion, just evaluated; `out` as in `dynamics.evaluate`."""
     if work.forces_unique:
         return
-    if fit(work, t, out) or not rubs(work):
+    if admissible(work, t, out) or not slips_with_friction(work):
         return
-    take_found(work)
+    use_found_forces(work)
     evaluate(work, t, out)
-    if fit(work, t, out):
+    if admissible(work, t, out):
         return
     filled(work.inner_forces, 0.0)
     evaluate(work, t, out)
@@ -40,18 +40,18 @@ def choose_forces(work, t, out):
 @declared(SceneWorkspace)
 @jit
 def doubtful_margin(work):
-    """Return a margin up to which forces do not clearly keep to what their modes allow."""
-    largest = 0.0
+    """Return the force margin [N] up to which, given the errors, the forces may violate their bounds."""
+    largest_force = 0.0
     for force in work.solution:
-        largest = max(largest, abs(force))
-    return 2.0 * work.force_tolerance + DOUBTFUL * largest
+        largest_force = max(largest_force, abs(force))
+    return 2.0 * work.force_tolerance + DOUBTFUL * largest_force
 
 
 @inlined
-def fit(work, t, out):
-    """Return whether the forces last evaluated keep to their bounds, or others with the same motion.
+def admissible(work, t, out):
+    """Return whether the forces satisfy their bounds and every incipient slip is opposed by its friction.
 
-    These act then. And whether no slip begins against the direction of its friction.
+    If the forces last evaluated violate bounds, other forces with the same motion that do not replace them.
     """
     if work.force_margin < 0.0:
         if not widest_margin(work, work.inner_forces) > 0.0:
@@ -78,8 +78,8 @@ def fit(work, t, out):
 
 
 @inlined
-def take_found(work):
-    """Take as known the forces by which the modes were found."""
+def use_found_forces(work):
+    """Copy the forces from which the modes were determined, `found_forces`, to `inner_forces`."""
     known, found, mode, index = work.inner_forces, work.found_forces, work.active_mode, work.active_index
     a = 0
     for k in range(len(mode)):

@@ -1,4 +1,4 @@
-"""Forces of what is closed at one state, with where they act, in world axes."""
+"""Forces of the active set at a state, and their points of action, in world axes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool, FLOATS)
 @external
 def evaluate_closed(work, t, q, v, directions, unique, known):
-    """Leave the motion and the forces of what is closed in the modes of `work.modes`; see `forces_at`."""
+    """Evaluate motion and forces in the workspace for the modes `work.modes`; arguments as in `forces_at`."""
     close(work, directions)
     work.forces_unique = unique
     assign(work.inner_forces[: len(known)], known)
@@ -39,21 +39,22 @@ def evaluate_closed(work, t, q, v, directions, unique, known):
 )
 @jit
 def forces_at(work, t, q, v, directions, unique, known, forces, points, normals, joints):
-    """Fill the forces of what is closed in the modes that `work.modes` has.
+    """Fill the forces of the active set for the modes `work.modes`.
 
     Args:
         work: The workspace, with the modes, constants of the contacts, signs of dry friction and control.
         t, q, v: Time [s] and state.
-        directions: (n, 2) of slip, for contacts too slow to show them.
+        directions: (n, 2) reference directions of slip.
         unique: Whether the forces have been unique so far.
-        known: (m,) forces that the motion was begun with, of which the nearest act; empty for those of least
-            norm.
-        forces: (n, 3) takes those on the robot in world axes, zero before [N].
-        points: (n, 3) takes where they act [m].
-        normals: (n, 3) takes the surfaces' normals there, in world axes.
-        joints: (nv,) takes the generalized forces of joint stops and of dry friction, zero before.
+        known: (m,) forces at the start of the motion; if forces are not unique, the nearest to them are used,
+            or those of least norm if `known` is empty.
+        forces: (n, 3) is overwritten with the forces on the robot in world axes [N]; zero before.
+        points: (n, 3) is overwritten with their points of action in world axes [m].
+        normals: (n, 3) is overwritten with the surface normals there, in world axes.
+        joints: (nv,) is overwritten with the generalized forces of joint stops and dry friction; zero before.
 
-    Returns whether the motion determines the forces.
+    Returns:
+        Whether the motion determines the forces.
     """
     evaluate_closed(work, t, q, v, directions, unique, known)
     if work.callback_failed:
@@ -80,9 +81,9 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
 @declared(SceneWorkspace, INTEGERS, FLOAT_STACK, FLOAT_ROWS)
 @jit
 def places_of_contacts(work, index, axes, points):
-    """Fill where contacts (k,) are at the kinematics last computed, in world axes.
+    """Fill contact axes and points, in world axes, of contacts `index` (k,) at the last kinematics.
 
-    Axes (k, 3, 3) takes t₁, t₂ and n of each, as rows, points (k, 3) the contact points [m].
+    `axes` (k, 3, 3) has t₁, t₂ and n of each as rows; `points` (k, 3) are the contact points [m].
     """
     for m in range(len(index)):
         k, tip = work.contact_constants[index[m]], work.placements[work.contact_joints[index[m], 0]]

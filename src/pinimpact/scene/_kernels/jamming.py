@@ -1,4 +1,4 @@
-"""Slip whose forces grow without bound."""
+"""Detection of a jam: slip whose contact forces grow without bound. (theory.md, 13.3)"""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, float, FLOATS, FLOATS, bool, float)
 @jit
 def forces_unbounded(work, t, q, v, without_forces, singular):
-    """Return whether contacts that slip drive the surface in until their forces have no bound.
+    """Return whether the forces of slipping contacts are unbounded at a state. (13.3)
 
     Args:
+        work: The workspace.
         t, q, v: Time [s] and state.
-        without_forces: Whether no forces were found for the modes, or they have just left their bounds; where
-            the determinant of the equations has changed its sign there are none.
-        singular: The part to which the effects of forces cancel at a singularity.
+        without_forces: Whether no forces were found for the modes, or they have just left their bounds. If
+            the determinant of (9.3) has also changed its sign, the forces are unbounded.
+        singular: Residual of the cancelling effects on the normals, relative to the largest one, below which
+            the forces are unbounded.
     """
     mode, slipping = work.active_mode, False
     for k in range(len(mode)):
@@ -41,7 +43,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     active_rows(work, v, ALL, rows, np.empty(size))
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, minverse, response, delassus)
-    left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel
+    left = whole = 0.0  # effects of the forces on the normals: they cancel near the singularity
     for k in range(len(mode)):
         total = 0.0
         for a in range(size):

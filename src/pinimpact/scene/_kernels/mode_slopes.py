@@ -14,7 +14,7 @@ from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
 from .active_set import close
-from .contact_forces import FREE, HELD, SLIP, rubs
+from .contact_forces import FREE, HELD, SLIP, slips_with_friction
 from .dense_output import state
 from .drives import set_saturation
 from .dynamics import invert_mass_matrix
@@ -199,7 +199,8 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
     It changes `forces`, ∂(Jᵀf)/∂q, and ∂v̇/∂v.
     """
     jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
-    row, nv, shared = work.nv, work.nv, moving and not work.forces_unique and rubs(work)
+    row, nv = work.nv, work.nv
+    shared = moving and not work.forces_unique and slips_with_friction(work)
     push, turn = np.empty(nv), np.empty(nv)
     for k in range(len(force)):
         if shared and _without_load(work, k, row - nv):
@@ -266,7 +267,7 @@ def _fill_shares(work, parent, scratch, by_state):
     at, shifts, changes = np.empty(slopes.PLACE), np.empty((nv, slopes.SHIFT)), np.empty((3, nv))
     axes, points, row = np.empty((len(index), 3, 3)), np.empty((len(index), 3)), nv + m
     places_of_contacts(work, index, axes, points)
-    shared = rubs(work)
+    shared = slips_with_friction(work)
     for k in range(len(index)):
         if shared and _without_load(work, k, row - nv - m):
             row += 1 if work.active_mode[k] == SLIP else 3
@@ -295,8 +296,8 @@ def _fill_friction(work, friction, inverse, by_friction):
                 s1, s2 = work.slip_direction[k, 0], work.slip_direction[k, 1]
                 for i in range(len(inverse)):
                     for j in range(len(inverse)):
-                        rubs = s1 * jacobian[k, 0, j] + s2 * jacobian[k, 1, j]
-                        by_friction[i, column] -= force[k, 2] * inverse[i, j] * rubs
+                        along = s1 * jacobian[k, 0, j] + s2 * jacobian[k, 1, j]
+                        by_friction[i, column] -= force[k, 2] * inverse[i, j] * along
 
 
 @inlined

@@ -1,7 +1,7 @@
-"""What the stages of a step tell of functions that must not fall below zero within it.
+"""Samples, at the stages of a step, of functions that must not fall below zero within it. (theory.md, 11.6)
 
-The stages are taken as samples, and a function counts as clear of zero where not even a parabola with half as
-much curvature again as the samples show could bring it there; otherwise it is searched along the step.
+A function passes the test if parabolas with `SAFETY` times the largest curvature of the samples stay above
+zero between them; otherwise its roots are searched along the dense output.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from ..._compile.jit import inlined
 from .contact_forces import SLIP
 
 SAFETY = 1.5
-"""Factor on the curvature between samples."""
+"""Factor on the curvature that the samples show."""
 
 
 @inlined
 def along(work, k, velocity):
-    """Return the speed along the direction last known of contact velocities (nc, 3)."""
+    """Return the speed of active contact k along its reference direction, for contact velocities (nc, 3)."""
     reference = work.slip_reference
     return reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
 
 
 @inlined
 def record_sample(work, slot, fraction):
-    """Keep margin and slip at the state last evaluated as a sample at a fraction of the step."""
+    """Store force margin and slip at the state last evaluated as sample `slot`, at a fraction of the step."""
     work.sample_times[slot], work.sample_margins[slot] = fraction, work.force_margin
     mode, velocity, slip = work.active_mode, work.contact_velocity, work.sample_slip
     for k in range(len(mode)):
@@ -32,10 +32,7 @@ def record_sample(work, slot, fraction):
 
 @inlined
 def clear_of_zero(times, values, count):
-    """Return whether a function stays above zero between its first samples, as far as they tell.
-
-    They are the first `count` of the values at rising times (m,), from 0 to 1.
-    """
+    """Return whether a function stays above zero, judged by `count` samples at ascending times in [0, 1]."""
     bend = 0.0
     for i in range(1, count - 1):
         left, right = times[i] - times[i - 1], times[i + 1] - times[i]

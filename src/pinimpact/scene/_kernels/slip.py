@@ -1,4 +1,4 @@
-"""The direction of slip: how it is remembered from step to step, and how fast it settles."""
+"""Reference directions of slip from step to step, and the rate at which they settle. (theory.md, 11.6)"""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .tolerances import STILL
 from .workspace import SceneWorkspace
 
 CERTAIN = 10.0
-"""Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
+"""Ratio of slip speed to the error η of a step above which a contact keeps sliding."""
 
 
 @inlined
 def fastest_of(metres, v):
-    """Return the largest of velocities v (nv,) [m/s], with metres (nv,) per unit, see `joint_metres`."""
+    """Return the largest κ|v| [m/s] of velocities v (nv,), with κ (nv,) of (10.6) in `metres`."""
     fastest = 0.0
     for j in range(len(v)):
         fastest = max(fastest, metres[j] * abs(v[j]))
@@ -27,32 +27,32 @@ def fastest_of(metres, v):
 
 @inlined
 def error_of_step(work, v):
-    """Return the error of a step in a velocity (nv,) [m/s]."""
+    """Return the error η of a step in a velocity v (nv,) [m/s]. (theory.md, 11.5)"""
     return work.atol + work.rtol * fastest_of(work.joint_metres, v)
 
 
 @inlined
 def certain(work):
-    """Return the speed above which slip goes on, by the error of a step from `v0`."""
+    """Return the speed 10 η at the start of the step above which a contact keeps sliding [m/s]."""
     return CERTAIN * error_of_step(work, work.v0)
 
 
 @inlined
 def set_certain_speed(work):
-    """Set above which speed a contact keeps sliding."""
+    """Set `certain_speed`, which never exceeds the sticking speed."""
     work.certain_speed = min(certain(work), work.stick_speed)
 
 
 @inlined
 def behind(work):
-    """Return the speed up to which a reversal is none: no more than the error of a step."""
+    """Return the speed of reversed slip that is attributed to the error of a step [m/s]."""
     return min(STILL * work.stick_speed, work.certain_speed / CERTAIN)
 
 
 @declared(SceneWorkspace, FLOAT_ROWS)
 @external
 def turn_references(work, velocity):
-    """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
+    """Turn reference directions to those of contact velocities (nc, 3), but not at a reversal (an event)."""
     mode, reference = work.active_mode, work.slip_reference
     for k in range(len(mode)):
         if mode[k] == SLIP:
@@ -66,7 +66,7 @@ def turn_references(work, velocity):
 
 @inlined
 def set_directions_within(work, fraction):
-    """Set the directions of slip at a fraction of the step, for contacts too slow to show them."""
+    """Interpolate the reference directions of slip at a fraction of the step."""
     reference, start, end = work.slip_reference, work.start_directions, work.end_directions
     for k in range(len(reference)):
         x = (1.0 - fraction) * start[k, 0] + fraction * end[k, 0]
@@ -78,7 +78,7 @@ def set_directions_within(work, fraction):
 
 @inlined
 def restore_directions(work):
-    """Go back to the directions of slip at the start of the step."""
+    """Reset the reference directions of slip to those at the start of the step."""
     for k in range(len(work.slip_reference)):
         assign(work.slip_reference[k], work.start_directions[k])
         assign(work.end_directions[k], work.start_directions[k])
@@ -87,7 +87,7 @@ def restore_directions(work):
 @declared(SceneWorkspace)
 @external
 def stiffness_of_slip(work):
-    """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""
+    """Return an estimate of the largest rate at which a direction of slip settles [1/s], see `step_radau`."""
     mode, mu = work.active_mode, work.active_friction
     velocity, reference = work.contact_velocity, work.slip_reference
     jacobian, minverse, force = work.contact_jacobian, work.minverse, work.contact_force

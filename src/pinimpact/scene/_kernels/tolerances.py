@@ -1,4 +1,4 @@
-"""Tolerances of motions. Each says what it is a part of, or its unit, and why it has its size."""
+"""Tolerances of motions, each with its unit or what it is relative to, and the reason for its value."""
 
 from __future__ import annotations
 
@@ -8,135 +8,138 @@ from ..._numeric.tolerances import ROUNDING as ROUNDING
 # ---- defaults of options
 
 RTOL, ATOL = 1e-8, 1e-10
-"""Tolerances of steps, relative and absolute."""
+"""Relative and absolute tolerance of steps."""
 
 DT = 1e-3
-"""Length of time steps [s]."""
+"""Step size of time stepping [s]."""
 
-# ---- accelerations and forces of what is closed
+# ---- accelerations and forces of the active set
 
 NEGLIGIBLE = 1e-9
-"""Part of what makes up an acceleration, or an inverse inertia, below which it is none, where forces may be
-shared in several ways: their error is larger than rounding by the condition of the shares."""
+"""Acceleration or inverse inertia, relative to the sum of its terms, that is taken as zero where forces are
+not unique: the condition of the load sharing amplifies rounding errors. (11.10)"""
 
 ROUNDED = COMPUTED
 """The same where forces are unique. (11.10)"""
 
 LEAST_SIZE = LITTLE * 9.80665
-"""What makes up an acceleration counts as this at the least [m/s²]: a thousandth of gravity."""
+"""Least sum of terms to which accelerations are compared [m/s²]: a thousandth of gravity."""
 
 WEIGHTLESS = 1e-10
-"""Part of the robot's weight below which a force is none."""
+"""Force, relative to the weight of the robot, that is taken as zero."""
 
 AT_BOUND = NEGLIGIBLE
-"""Part of a bound within which what is limited is at it: efforts of drives, friction that holds."""
+"""Distance from a bound, relative to the bound, at which a drive effort or a friction force is at it."""
 
 SINGULAR_STILL = 1e-7
-"""Part of the largest pivot below which one is zero where pivots have been below `RANK`, lest a motion along
-the edge goes to and fro."""
+"""Pivot, relative to the largest, that is taken as zero once pivots have been below `RANK`. The larger value
+keeps the rank from alternating in a motion close to a singular state."""
 
 FINEST = NOISE
-"""The same where that misses accelerations by more than `NEGLIGIBLE`: a leg of 1 kg, stretched but for
-10⁻⁵ rad, bears a load, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
+"""The same where `SINGULAR_STILL` leaves residuals above `NEGLIGIBLE`: an example is a loaded leg of 1 kg,
+within 10⁻⁵ rad of being stretched, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
 
 DOUBTFUL = RTOL
-"""Part of the largest force by which others may miss their bounds for the error of a step alone."""
+"""Violation of force bounds, relative to the largest force, that the error of a step alone can cause."""
 
 # ---- velocities
 
 STILL = LITTLE
-"""Part of the speed of sticking below which a speed is none: slip has no direction of its own, does not
-reverse, and what modes stop of it changes nothing."""
+"""Speed, relative to the sticking speed, that is taken as zero: slip keeps its reference direction and does
+not reverse, and the choice of modes has converged when it removes no more."""
 
 DIFFERENT = 1e-5
-"""Part of the largest by which rows of velocities differ at least from each other, else they are the same;
-where what the difference asks for is little, it is `NEGLIGIBLE`."""
+"""Singular value of rows, relative to the largest, below which rows are redundant. It is `NEGLIGIBLE` if
+this changes the impulses little."""
 
 RESTING = 1e-4
-"""The default resting speed, in parts of √(g L): such a bounce rises 5·10⁻⁹ of the robot's size L."""
+"""Default resting speed, relative to √(g L): such a bounce rises by 5·10⁻⁹ of the robot size L."""
 
 # ---- impacts without collision
 
 SINGULAR = HALF_DIGITS
-"""Forces whose effects cancel to this part are those of a singularity."""
+"""Fraction to which effects of forces cancel at a singularity. (13.3)"""
 
 NEARLY_SINGULAR = 1e-4
-"""How near a singularity is where it has let no step be short enough, or has been passed: the part to which
-the effects of forces cancel, or friction is too small, and the sine of the tilt of a rim."""
+"""The same, and s* − 1, where steps make no progress or the singularity has been passed (theory.md, 13.3);
+also the sine of the tilt of a rim that is about to fall flat."""
 
 NUDGE = HALF_DIGITS
-"""Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
+"""Initial approach speed of contacts that jam, relative to the speed of slip. (13.2)"""
 
 LEAST_NUDGE = 0.1 * NUDGE
-"""Part of the fastest slip that this is at least."""
+"""Least value of it, relative to the fastest slip."""
 
 # ---- steps and their events
 
 PROGRESS = LITTLE
-"""Part of the scene's time scale, or of velocities, that a number of steps has to change."""
+"""Change of time, relative to the time scale of the scene, or of velocities that a number of steps must
+exceed to be progress."""
 
 STALLED = 1e-8
-"""Time [s] that is no progress, or that part of a duration below 1 s."""
+"""Time that is no progress [s]; relative to the duration if that is below 1 s."""
 
 LEAST_AHEAD = 1e-9
-"""How far to look ahead for modes that begin without a jump at the least, in parts of a step."""
+"""Shortest look-ahead, relative to a step, to choose modes that begin without a jump. (theory.md, 11.6)"""
 
 ITERATED = 1e-2
-"""Part of the tolerance of a step to which its implicit equations are solved. Less than that says nothing of
-the trend of its error, by which the next step grows."""
+"""Relative to the tolerance of a step, the residual of its implicit equations; also the least previous error
+from which the step size control derives a trend."""
 
 FIRST_STEP = LITTLE
-"""Part of a time step that the first one of a crossing takes: what arrives without restitution is stopped in
-it, where it is."""
+"""Length of the first time step after a switch from the event-driven scheme, relative to the step size:
+contacts that arrive without restitution stop in it, without moving far."""
 
 STEPS_TOUCH = 1e-8
-"""Part of the robot's size within which what approaches takes part in an impact in time steps, and up to
-which overlap at the end of one is left: the drift of the midpoint rule in a step of a millisecond, which
-would otherwise put impacts of one instant one after another."""
+"""Gap, relative to the robot size, up to which approaching contacts take part in an impact of time stepping,
+and overlap that may remain at the end of a step. It is the constraint drift of the midpoint rule in a step
+of 1 ms, which would otherwise separate simultaneous impacts."""
 
 STEPS_SLACK = 4.0
-"""What gaps may close by within a time step beside their rates, in parts of h² g. Within a step nothing keeps
-what closes from overlapping by as much; its end takes it away."""
+"""Closing of a gap within a time step in addition to its rate, in units of h² g. Overlap of this size can
+arise within a step; it is removed at the end."""
 
 STEPS_TOGETHER = 1e-2
-"""Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
+"""Fraction of a step within which impacts are simultaneous: gaps are extrapolated from the midpoint."""
 
 STEPS_SHORTEST = 2.0**-10
-"""Part of a time step below which it is not halved: flat shapes that may pass through each other have no
-thickness, and times are to differ by more than rounding."""
+"""Smallest fraction of a time step by repeated halving: flat shapes have no thickness that would end it, and
+times must differ by more than rounding."""
 
 STEPS_STILL = 1e-5
-"""Part of the resting speed up to which velocities are none and slip is stick: what the contact problem
-leaves at rest."""
+"""Speed, relative to the resting speed, that is taken as zero, so that slip is stick: the error of the
+contact problem."""
 
 STEPS_GAIN = 1e-4
-"""Part of the kinetic energy of a step and its impulses that contacts may add to it, against their surfaces:
-what rows that bend miss is some 1e-6, and all of it next to singular postures."""
+"""Energy that contacts may add in a step, relative to the kinetic energies of v and of the impulses. The
+change of the rows over a step adds some 10⁻⁶, but much more near singular postures. (theory.md, 16)"""
 
 STEPS_LEFT = 10.0 * SETTLED
-"""Part of what impulses change of velocities that the contact problem leaves at rest: what changes by more
-has begun to move, however little that is after a short step."""
+"""Change of a velocity in a step, relative to that by the impulses, up to which an island is at rest: a
+larger one is motion that begins, and not an error of the contact problem."""
 
 TURN = 1e-2
-"""Angle [rad] below which functions of it are series, whose next terms are below rounding."""
+"""Angle [rad] below which its functions are computed as series whose next terms are below rounding."""
 
 # ---- starts
 
 START_ROUNDING = 2e-9
-"""A start that is this far [m] below a surface or beyond a limit is one at it, but for rounding. Time
-steps may leave more, see `STEPS_SLACK`; the event-driven scheme does not start there."""
+"""Overlap at the start [m] that is attributed to rounding. Time steps may leave more, see `STEPS_SLACK`; the
+event-driven scheme does not start there."""
 
 HELD_GAP = LITTLE
-"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
+"""Largest gap of held contacts at the start, relative to the robot size; the gap is kept."""
 
 # ---- derivatives
 
 REMAINS = 1e-4
-"""Part of the changes of velocities that vanish that an event may leave of them, and by which accelerations
-may differ at one that does not change them."""
+"""Residual of vanishing velocities after an event, relative to their changes, and jump of accelerations at an
+event without a jump, that derivatives tolerate."""
 
 LEAST_INTERVAL = HALF_DIGITS
-"""Part of a step next to where slip begins or ends in which nothing changes but by the event itself."""
+"""Interval next to the beginning or end of slip, relative to a step, over which derivatives are constant but
+for the event itself."""
 
 STEPS_DRIFT = 1e-2
-"""Part of a change by which that of a closed gap may be more than zero: constraint drift, some h ω."""
+"""Change of a closed gap, relative to the change of the state, that is attributed to constraint drift, which
+is of the order of h ω."""

@@ -1,4 +1,4 @@
-"""What touches at an instant: its rows, the forces on it, and the accelerations that they cause.
+"""The contact problem at an instant: rows, forces, resulting accelerations. (theory.md, 11.1)
 
 Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one.
 """
@@ -25,16 +25,16 @@ from .tolerances import LEAST_SIZE, NEGLIGIBLE, ROUNDED
 
 
 class Touching(NamedTuple):
-    """What touches: nc contacts with three rows (t₁, t₂, n) each, then ns scalar rows; m = 3 nc + ns.
+    """The touching contacts, nc, and ns scalar rows; m = 3 nc + ns rows.
 
     Attributes:
         contacts: (nc,) numbers of the contacts.
         joints: (ns,) numbers of the scalar rows, see `scalar_rows`.
-        scalars: (ns,) their places in v.
-        rows: (m, nv) the rows of velocities.
+        scalars: (ns,) indices in v of the scalar rows.
+        rows: (m, nv) Jacobian of the row velocities.
         velocity: (nc, 3) contact velocities [m/s].
-        free: (m,) accelerations without forces of contacts.
-        slip: (nc, 2) velocities of sliding contacts [m/s], zero where a contact may stick.
+        free: (m,) accelerations of the rows without contact forces [m/s²].
+        slip: (nc, 2) tangential velocities of sliding contacts [m/s], zero where a contact may stick.
         mu: (nc,) friction coefficients.
         held: (nc,) True for bilateral contacts.
         lower: (ns,) lower bounds of scalar forces [N].
@@ -56,7 +56,7 @@ class Touching(NamedTuple):
 
 @inlined
 def rows_of_touching(work, v, candidates, certain):
-    """Return what is `Touching` at the state last evaluated; arguments as of `find_modes`."""
+    """Return the `Touching` at the state last evaluated; arguments as in `find_modes`."""
     contacts, scalar = nonzero(candidates[: work.contacts]), candidates[work.contacts :]
     joints = scalar_rows(work, scalar)
     nc, ns, n = len(contacts), len(joints), len(v)
@@ -64,7 +64,7 @@ def rows_of_touching(work, v, candidates, certain):
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
     slip = np.zeros((nc, 2))
     for i in range(work.contacts):
-        work.slips[i] = 1  # also those that are released
+        work.slips[i] = 1  # also of contacts that are not candidates
     for k in range(nc):
         b, i = 3 * k, contacts[k]
         follow_surface(work, i)
@@ -84,20 +84,23 @@ def rows_of_touching(work, v, candidates, certain):
 
 @inlined
 def keeps_sliding(work, i, x, y, certain):
-    """Whether a contact of tangential velocity (x, y) slides, or keeps sliding, faster than `certain`."""
+    """Return whether contact i slides at the tangential velocity (x, y) [m/s].
+
+    It does above the sticking speed, or above `certain` [m/s] if it has been sliding.
+    """
     speed = math.hypot(x, y)
     if speed > work.stick_speed:
         return True
     index, mode = work.active_index, work.active_mode
     for k in range(len(index)):
         if index[k] == i and mode[k] == SLIP:
-            return speed > certain  # also where it has turned away from the direction last known
+            return speed > certain  # also if it has turned away from its reference direction
     return False
 
 
 @inlined
 def forces_on(work, what, delassus, candidates, unique, force):
-    """Fill the forces (m,) on what touches, see `find_forces`; return whether they were found."""
+    """Fill the forces (m,) on the touching contacts, see `find_forces`; return whether they were found."""
     nc, ns = len(what.contacts), len(what.joints)
     known, pressed, least = np.empty(len(force)), np.empty(nc + ns, dtype=np.bool_), np.zeros(nc)
     forces_of_before(work, what.contacts, what.joints, known)
@@ -113,7 +116,7 @@ def forces_on(work, what, delassus, candidates, unique, force):
 
 @inlined
 def forces_of_before(work, contacts, joints, x):
-    """Fill forces x on contacts and scalar rows with those that modes were last found by."""
+    """Fill x (m,) with the forces of contacts and scalar rows from the last choice of modes."""
     closed = 3 * len(contacts)
     for a in range(closed):
         x[a] = work.found_forces[contacts[a // 3], a % 3]
@@ -123,7 +126,7 @@ def forces_of_before(work, contacts, joints, x):
 
 @inlined
 def keep_forces(work, what, force):
-    """Keep the forces (m,) by which modes are found, for the next search."""
+    """Store the forces (m,) from which modes are chosen, for the next choice."""
     nc, found = len(what.contacts), work.found_forces
     for k in range(nc):
         assign(found[what.contacts[k]], force[3 * k : 3 * k + 3])
@@ -134,23 +137,23 @@ def keep_forces(work, what, force):
 @declared(FLOAT_ROWS)
 @external
 def determines_forces(delassus):
-    """Return whether no forces but one set have the same effects."""
+    """Return whether the Delassus matrix (m, m) is regular, apart from rows that no force moves."""
     size = len(delassus)
     rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)), RANK)
     stiffest = 0.0
     for a in range(size):
         stiffest = max(stiffest, delassus[a, a])
     for a in range(size):
-        rank += delassus[a, a] <= ROUNDOFF * stiffest  # nothing moves this way
+        rank += delassus[a, a] <= ROUNDOFF * stiffest
     return rank == size
 
 
 @inlined
 def resulting_accelerations(delassus, free, force, contacts, unique, pace):
-    """Add to the accelerations `free` (m,) of the rows what the forces (m,) cause.
+    """Add the effect of the forces (m,) to the accelerations `free` (m,) of the rows.
 
-    `unique` is whether no other forces have the same effects. Pace (m,) takes the accelerations that count as
-    none. (11.10)
+    `pace` (m,) is overwritten with the bounds (11.10) up to which accelerations are taken as zero; `unique`
+    is whether the Delassus matrix is regular.
     """
     size, closed = len(free), 3 * contacts
     width, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
@@ -165,14 +168,14 @@ def resulting_accelerations(delassus, free, force, contacts, unique, pace):
         if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
             pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
         pace[a] = (ROUNDED if unique else NEGLIGIBLE) * (pace[a] + LEAST_SIZE)
-        if unit > 0.0:  # forces are no more accurate
+        if unit > 0.0:  # effect of the error of the forces
             pace[a] += USABLE / scale_a[a]
 
 
 @inlined
 def speeds_of_rows(work, what, v, start):
-    """Fill the velocities (m,) of the rows [m/s]; return the largest speed of what was active before."""
-    contacts, closed, off = what.contacts, 3 * len(what.contacts), 0.0
+    """Fill start (m,) with the velocities of the rows [m/s]; return the largest of rows active so far."""
+    contacts, closed, active_speed = what.contacts, 3 * len(what.contacts), 0.0
     for a in range(len(start)):
         if a < closed:
             mode, start[a] = work.modes[contacts[a // 3]], what.velocity[a // 3, a % 3]
@@ -182,5 +185,5 @@ def speeds_of_rows(work, what, v, start):
             start[a] = work.joint_metres[j] * v[j]
             was_active = work.modes[work.contacts + what.joints[a - closed]] != 0
         if was_active:
-            off = max(off, abs(start[a]))
-    return off
+            active_speed = max(active_speed, abs(start[a]))
+    return active_speed

@@ -1,8 +1,8 @@
-"""By how much forces can keep to their laws where the motion does not determine them. (theory.md, 11)
+"""The force margin of the modes where forces are not unique, as a cone program. (theory.md, 11.6)
 
-Of all x with (G M⁻¹H) x = −a⁰ (9.3) those that keep farthest from their bounds:
+Among all x with (G M⁻¹H) x = −a° (9.3) that leave the motion unchanged,
 
-    maximise m   with   x₃ ≥ m (slip),   μx₃ − |x_t| ≥ m (stick),   x − lower ≥ m,   upper − x ≥ m.
+    maximise m   with   x₃ ≥ m (slip),   μx₃ − |x_t| ≥ m (stick),   x − lower ≥ m,   upper − x ≥ m.   (11.6)
 
 The maximum is continuous in the state, and the modes hold exactly as long as it is not negative.
 """
@@ -19,25 +19,25 @@ from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, repeated
 from ..._numeric.tolerances import NOISE
-from .contact_forces import SLIP, STICK, rubs
+from .contact_forces import SLIP, STICK, slips_with_friction
 from .tolerances import NEGLIGIBLE
 from .workspace import SceneWorkspace
 
 LARGEST = 1e4
-"""Forces beyond this times what the loads call for are not looked for."""
+"""Bound on changes of forces in the null space, relative to `largest_force`: keeps the program bounded."""
 
 
 @declared(SceneWorkspace, FLOATS)
 @external
 def widest_margin(work, found):
-    """Return the largest margin of all forces with the same motion at the state last evaluated [N].
+    """Return the largest margin of all forces with the same motion at the state last evaluated [N]. (11.6)
 
-    `found` (size,) takes its forces, if they keep within their bounds.
+    If it is positive, `found` (rows,) is overwritten with the forces that have this margin.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if rubs(work):
+    if slips_with_friction(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
@@ -47,7 +47,7 @@ def widest_margin(work, found):
     lines += 1
     rows = lines + 3 * cones + n
     G, h = np.zeros((rows, n)), np.zeros(rows)
-    G[0, free], h[0] = 1.0, 1.0  # where forces can grow without end the margin is that of the loads
+    G[0, free], h[0] = 1.0, 1.0  # m ≤ unit: where forces can grow without bound, so could the margin
     cone = fill_bounds(work, x, null, free, unit, 1.0, G, h, 1, lines)
     h[cone] = LARGEST
     for j in range(free):
@@ -68,10 +68,10 @@ def widest_margin(work, found):
 
 @inlined
 def keep_motion(work, x, null, free):
-    """Go to the forces last evaluated, and to the changes of them that do not change the motion.
+    """Restrict the null space of (9.3) to changes of the forces that leave the motion unchanged.
 
-    x (size,) takes the forces. The first rows of `null`, as many as are `free`, are a basis of what the rows
-    do not feel, and take that of these changes; return how many are left.
+    `x` (rows,) is overwritten with the forces last evaluated. The first `free` rows of `null` are a basis of
+    the null space; they are overwritten with a basis of the subspace, whose dimension is returned.
     """
     response = work.force_response
     size, n = response.shape
@@ -100,11 +100,11 @@ def keep_motion(work, x, null, free):
 
 @inlined
 def least_admissible(work, x):
-    """Fill x with the forces of least norm that keep to their bounds, as nearly as there are any."""
+    """Fill x (rows,) with the forces of least norm that satisfy their bounds, or nearly if there are none."""
     size = len(work.target)
     null = np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if rubs(work):
+    if slips_with_friction(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0 or free == 0:
@@ -113,7 +113,7 @@ def least_admissible(work, x):
     rows = lines + 3 * cones
     G, h = np.zeros((rows, free)), np.zeros(rows)
     fill_bounds(work, x, null, free, unit, 0.0, G, h, 0, lines)
-    P, c = np.eye(free), np.zeros(free)  # x is at right angles to the null space
+    P, c = np.eye(free), np.zeros(free)  # x is orthogonal to the null space
     y, s, z = np.zeros(free), np.empty(rows), np.empty(rows)
     cone_program(P, c, G, h, lines, repeated(cones, CONE), NOISE, y, s, z)
     for j in range(free):
@@ -123,7 +123,7 @@ def least_admissible(work, x):
 
 @inlined
 def largest_force(work, x):
-    """Return the largest of forces and bounds, as their unit."""
+    """Return the largest magnitude of forces x and finite bounds [N], the unit of the cone program."""
     lower, upper = work.scalar_lower, work.scalar_upper
     unit = 0.0
     for force in x:
@@ -138,7 +138,7 @@ def largest_force(work, x):
 
 @inlined
 def count_bounds(work):
-    """Return how many half-lines and how many cones the forces keep to."""
+    """Return the numbers of half-lines and of second-order cones that bound the forces."""
     lower, upper = work.scalar_lower, work.scalar_upper
     lines = cones = 0
     for mode in work.active_mode:
@@ -151,11 +151,20 @@ def count_bounds(work):
 
 @inlined
 def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
-    """Fill the rows of G and h by which x + nullᵀy keeps to its bounds, by `margin` times a last unknown.
+    """Fill the rows of G and h, zero before, for the bounds of x + nullᵀy (h − G y in the cone).
 
-    Forces x (size,) are those of least norm, `null` what they leave open, with rows that are `free`; `margin`
-    is 1, or 0 for no such unknown. G and h are zero before; `line` and `cone` are the rows of the first
-    half-line and of the first cone. Return the row after the last cone.
+    Args:
+        work: The workspace.
+        x: (rows,) forces for y = 0 [N].
+        null: (free, rows) basis of the changes.
+        free: Number of unknowns y.
+        unit: Unit of forces [N].
+        margin: 1 if a last unknown m is the margin from the bounds, 0 without it.
+        G, h: Matrix and vector of the cone program.
+        line, cone: Rows of the first half-line and of the first cone.
+
+    Returns:
+        The row after the last cone.
     """
     modes, mu = work.active_mode, work.active_friction
     lower, upper = work.scalar_lower, work.scalar_upper
@@ -185,7 +194,7 @@ def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
 
 @inlined
 def bound_row(G, h, row, factor, value, null, free, a, margin):
-    """Fill a row for factor · x_a − margin · m, of which value is the part at the forces of least norm."""
+    """Fill a row of G and h for factor · x_a − margin · m, which is `value` at y = 0 and m = 0."""
     for j in range(free):
         G[row, j] = -factor * null[j, a]
     if margin > 0.0:

@@ -1,4 +1,4 @@
-"""All that the kernels of a scene share: the robot, its contacts, what is closed, and the step under way."""
+"""The data that the kernels of a scene share: robot, contacts, active set, and the current step."""
 
 from __future__ import annotations
 
@@ -7,143 +7,155 @@ from ...geometry._kernels.constants import CONSTANTS
 from .dop853 import DENSE_STAGES
 
 CALLS = 8
-"""Addresses of functions and of their arguments, of what kernels call in Python."""
+"""Number of addresses in `calls`: four functions that kernels call in Python, each with its arguments."""
 
 DENSE_TERMS = 7
-"""Coefficients of the dense output of a step, see `dense_output.interpolate`."""
+"""Number of coefficients of the dense output per unknown, see `dense_output.interpolate`."""
 
 
 class SceneWorkspace(Workspace):
-    """See `pinimpact._compile.workspace` for how it is declared and read.
+    """The shared data; `pinimpact._compile.workspace` says how fields are declared and read.
 
-    The modes that hold are those of `contact_forces`. Contacts stand first among the sources of modes, held
-    ones last of them; then the joint limits; then each velocity, which dry friction may hold at rest. What is
-    closed is rearranged whenever modes change, by `active_set.close`.
+    Each *source* has a mode: first the contacts (modes of `contact_forces`; held contacts last), then the
+    joint limits, then the velocities, each of which dry friction may hold at rest. The *active set* consists
+    of the contacts and scalar rows whose mode is not zero; `active_set.close` lays it out whenever the modes
+    change.
     """
 
     nq = size("numbers of a configuration")
     nv = size("velocities")
     bodies = size("joints of the model, with the world")
     charts = size("rows of the table of joint charts")
-    rates = size("rates of a step: of ξ, v and the works, 2 nv + 4")
+    rates = size("integrated quantities of a step: ξ, v and the four kinds of work, 2 nv + 4")
     contacts = size("contacts, held ones last")
-    closable = size("contacts that there is room for to be closed at once; it grows, see `SceneDynamics`")
-    blocks = size("runs of contacts that are looked at together: those that a sphere bounds, else one alone")
-    spheres = size("runs that a sphere bounds")
+    closable = size("capacity for simultaneously active contacts; it grows, see `SceneDynamics`")
+    blocks = size("groups of consecutive contacts that one bounding sphere encloses, or single contacts")
+    spheres = size("groups with a bounding sphere")
     limits = size("joint limits")
-    sources = size("what has a mode: contacts, limits, velocities")
-    scalars = size("scalar rows that can be closed: limits, and joints with dry friction")
+    sources = size("items with a mode: contacts, limits, velocities")
+    scalars = size("scalar rows that can be active: limits, and joints with dry friction")
     driven = size("drives")
-    rows = size("rows of all that there is room for: three a closable contact, then the scalar ones")
+    rows = size("capacity for active rows: three per active contact, then the scalar rows")
 
-    active_contacts = count("closable", "contacts that are closed")
-    active_scalars = count("scalars", "scalar rows that are closed: limits, then joints held by dry friction")
-    active_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
+    active_contacts = count("closable", "active contacts")
+    active_scalars = count("scalars", "active scalar rows: limits, then joints held by dry friction")
+    active_rows = count(
+        "rows", "active rows: one of a slipping contact, three of any other, one per scalar row"
+    )
 
     # the robot, where Pinocchio reads and writes it
     calls = integers(CALLS, meaning="addresses of functions and their arguments, see `dynamics`")
     q = reals("nq", given=True, meaning="configuration that is evaluated")
     v = reals("nv", given=True, meaning="velocity that is evaluated")
-    tau = reals("nv", given=True, meaning="generalized forces without those of contacts")
+    tau = reals("nv", given=True, meaning="generalized forces without contact forces")
     acceleration = reals("nv", given=True, meaning="v̇ without contact forces")
     minverse = reals("nv", "nv", given=True, meaning="M⁻¹")
-    placements = reals("bodies", 12, given=True, meaning="of the joints, rotation by columns, translation")
-    local_velocities = reals("bodies", 6, given=True, meaning="of the joints, in their own axes")
-    spatial_velocities = reals("bodies", 6, given=True, meaning="at the world's origin, in its axes")
-    spatial_accelerations = reals("bodies", 6, given=True, meaning="at the world's origin, less gravity")
-    joint_jacobian = reals(6, "nv", order="F", given=True, meaning="columns at the world's origin")
-    control_time = real("when the control is asked [s]")
-    control_force = reals("nv", meaning="what the control returned")
+    placements = reals("bodies", 12, given=True, meaning="of the joints: rotation by columns, translation")
+    local_velocities = reals("bodies", 6, given=True, meaning="of the joints, in joint axes")
+    spatial_velocities = reals("bodies", 6, given=True, meaning="of the joints, at the world origin")
+    spatial_accelerations = reals("bodies", 6, given=True, meaning="at the world origin, minus gravity")
+    joint_jacobian = reals(6, "nv", order="F", given=True, meaning="joint Jacobian at the world origin")
+    control_time = real("time at which the control is evaluated [s]")
+    control_force = reals("nv", meaning="generalized forces that the control returned [N or N m]")
     drive_velocity = integers("driven", meaning="index in v of each drive")
-    drive_coordinate = integers("nv", meaning="where the coordinate of each velocity stands in q")
+    drive_coordinate = integers("nv", meaning="index in q of the coordinate of each velocity")
     drive_stiffness = reals("nv", meaning="of the drives [N/m or N m/rad]")
     drive_damping = reals("nv", meaning="of the drives [N s/m or N m s/rad]")
-    drive_reference = reals("nv", meaning="to which the drives draw [m or rad]")
-    drive_limit = reals("nv", meaning="which the efforts of the drives do not exceed [N or N m]")
-    drive_side = integers("nv", meaning="of each drive: 1 at its upper bound, −1 at its lower one, else 0")
+    drive_reference = reals("nv", meaning="reference positions of the drives [m or rad]")
+    drive_limit = reals("nv", meaning="effort limits of the drives [N or N m]")
+    drive_side = integers(
+        "nv", meaning="of each drive: 1 at its upper effort limit, −1 at its lower one, else 0"
+    )
     damping = reals("nv", meaning="viscous damping of the joints")
-    stiff_joints = flag("whether drives or damping may ask for implicit steps, see `stiff_drives`")
-    dry_friction = reals("nv", meaning="dry friction of the joints")
-    sliding_friction = reals("nv", meaning="the dry friction with the sign of the velocity, 0 where held")
+    stiff_joints = flag("whether drives or damping may require implicit steps, see `stiff_drives`")
+    dry_friction = reals("nv", meaning="dry friction of the joints [N or N m]")
+    sliding_friction = reals("nv", meaning="dry friction with the sign of the velocity, 0 for held joints")
 
     # all contacts and joint limits
     contact_constants = reals("contacts", CONSTANTS, meaning="see `robot._kernels.constants`")
     contact_joints = integers("contacts", 2, meaning="joints of the tip and of the surface")
-    joint_velocity = integers("bodies", meaning="the last velocity that moves each joint, or −1")
-    velocity_parent = integers("nv", meaning="the velocity before each on the way to the root, or −1")
+    joint_velocity = integers("bodies", meaning="index of the last velocity that moves each joint, or −1")
+    velocity_parent = integers("nv", meaning="the preceding velocity on the path to the root, or −1")
     velocity_signs = reals("nv", meaning="of a contact: 1 moves the tip only, −1 the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
-    joint_metres = reals("nv", meaning="per unit of each velocity: 1 of what slides, see `joint_metres`")
+    joint_metres = reals("nv", meaning="κ of (10.6): m per unit of velocity, 1 for sliding joints")
     contact_blocks = integers(
-        "blocks", 3, meaning="first contact, the one after the last, and the sphere or −1"
+        "blocks", 3, meaning="first contact, the one after the last, and the bounding sphere or −1"
     )
-    sphere_constants = reals("spheres", CONSTANTS, meaning="as of a contact; its joints are its first's")
+    sphere_constants = reals(
+        "spheres",
+        CONSTANTS,
+        meaning="of the bounding spheres, as `contact_constants`; joints of the first contact",
+    )
     friction = reals("contacts", meaning="coefficients of friction of sustained contact")
     bilateral = integers("contacts", meaning="1 for a held contact")
-    rest_gap = reals("contacts", meaning="the gap that each keeps while closed [m]")
-    limit_q = integers("limits", meaning="index of its coordinate in q")
-    limit_v = integers("limits", meaning="index of its velocity in v")
-    limit_sign = reals("limits", meaning="1 for a lower bound, −1 for an upper one")
-    limit_bound = reals("limits", meaning="its value [rad or m]")
+    rest_gap = reals("contacts", meaning="gap of each contact while it is active [m]")
+    limit_q = integers("limits", meaning="index of the coordinate in q")
+    limit_v = integers("limits", meaning="index of the velocity in v")
+    limit_sign = reals("limits", meaning="1 for a lower limit, −1 for an upper one")
+    limit_bound = reals("limits", meaning="value of the limit [rad or m]")
 
-    # which modes hold, and what is closed in them
+    # modes and active set
     modes = integers(
-        "sources", meaning="of contacts; 1 for a closed limit; 1 for a joint held by dry friction"
+        "sources", meaning="mode of each contact; 1 for an active limit; 1 for a joint held by dry friction"
     )
     active_index = integers("active_contacts", meaning="number of the contact")
     active_mode = integers("active_contacts", meaning="its mode")
     active_friction = reals("active_contacts", meaning="its coefficient of friction")
-    active_rest_gap = reals("active_contacts", meaning="the gap that it keeps [m]")
-    slip_reference = reals("active_contacts", 2, meaning="the direction of slip last known")
-    start_directions = reals("active_contacts", 2, meaning="the same at the start of the step")
-    end_directions = reals("active_contacts", 2, meaning="the same at its end")
+    active_rest_gap = reals("active_contacts", meaning="its `rest_gap` [m]")
+    slip_reference = reals(
+        "active_contacts", 2, meaning="reference direction of slip: the last one determined"
+    )
+    start_directions = reals("active_contacts", 2, meaning="`slip_reference` at the start of the step")
+    end_directions = reals("active_contacts", 2, meaning="`slip_reference` at the end of the step")
     scalar_velocity = integers("active_scalars", meaning="index in v of each scalar row")
-    scalar_lower = reals("active_scalars", meaning="least force of each scalar row [N]")
-    scalar_upper = reals("active_scalars", meaning="largest force of each scalar row [N]")
+    scalar_lower = reals("active_scalars", meaning="lower bound of the force of each scalar row [N]")
+    scalar_upper = reals("active_scalars", meaning="upper bound of the force of each scalar row [N]")
 
-    # what an evaluation leaves of it
+    # results of an evaluation for the active set
     contact_jacobian = reals("active_contacts", 3, "nv", meaning="in contact axes t₁, t₂, n")
     contact_velocity = reals("active_contacts", 3, meaning="of the contact points [m/s]")
     contact_acceleration = reals("active_contacts", 3, meaning="without contact forces [m/s²]")
-    surface_velocity = reals("active_contacts", 3, meaning="of the surfaces, beyond their carriers' [m/s]")
-    contact_gap = reals("active_contacts", meaning="[m]")
-    slip_direction = reals("active_contacts", 2, meaning="of friction")
-    equation_rows = reals("active_rows", "nv", meaning="whose acceleration [m/s²] is zero")
-    force_response = reals("active_rows", "nv", meaning="v̇ for a unit of each force")
-    system = reals("active_rows", "active_rows", meaning="equations of the forces")
-    target = reals("active_rows", meaning="their right-hand side")
-    solution = reals("active_rows", meaning="their solution")
+    surface_velocity = reals("active_contacts", 3, meaning="of the surfaces relative to their carriers [m/s]")
+    contact_gap = reals("active_contacts", meaning="gaps [m]")
+    slip_direction = reals("active_contacts", 2, meaning="directions opposite to friction")
+    equation_rows = reals("active_rows", "nv", meaning="G of (9.3): rows with zero acceleration [m/s²]")
+    force_response = reals("active_rows", "nv", meaning="(M⁻¹H)ᵀ: v̇ per unit of each force")
+    system = reals("active_rows", "active_rows", meaning="matrix G M⁻¹H of (9.3)")
+    target = reals("active_rows", meaning="right-hand side −a° of (9.3)")
+    solution = reals("active_rows", meaning="solution x of (9.3) [N]")
     inner_forces = reals(
-        "active_rows", meaning="that are known, of which the nearest are taken where they are not unique"
+        "active_rows",
+        meaning="known admissible forces; if (9.3) is singular, the nearest solution to them is used",
     )
     found_forces = reals(
-        "sources", 3, meaning="of what closed, where modes were set last; a scalar's comes first"
+        "sources", 3, meaning="forces from the last choice of modes; those of scalar rows in column 0"
     )
-    slips = integers("contacts", meaning="1 where modes were last looked for with its slip going on")
-    stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
-    samples = integer("how many samples of the step under way there are, see `samples`")
-    sample_times = reals(7, meaning="where in the step, from 0 to 1")
-    sample_margins = reals(7, meaning="margins of the forces there [N]")
-    sample_slip = reals(7, "active_contacts", meaning="speeds of slip along the direction last known [m/s]")
+    slips = integers("contacts", meaning="1 for contacts treated as sliding in the last choice of modes")
+    stage_reactions = reals(13, "nv", meaning="v̇ due to active rows, at the stages of an explicit step")
+    samples = integer("number of samples of the current step, see `samples`")
+    sample_times = reals(7, meaning="times of the samples as fractions of the step, from 0 to 1")
+    sample_margins = reals(7, meaning="force margins of the samples [N]")
+    sample_slip = reals(7, "active_contacts", meaning="speeds along the reference direction of slip [m/s]")
     contact_force = reals("active_contacts", 3, meaning="in contact axes [N]")
-    scalar_force = reals("active_scalars", meaning="[N or N m]")
-    force_margin = real("by how much the forces keep to their laws; below 0 the modes do not hold [N]")
-    rank_tolerance = real("part of the largest pivot that decides the rank where forces are not unique")
-    forces_unique = flag("whether the motion determines the forces, else they are those of least norm")
-    callback_failed = flag("whether a call into Python or Pinocchio raised")
-    evaluations = integer("how often v̇ was evaluated")
+    scalar_force = reals("active_scalars", meaning="forces of scalar rows [N or N m]")
+    force_margin = real("margin of (11.6) plus `force_tolerance`; below 0 the modes do not hold [N]")
+    rank_tolerance = real("relative pivot tolerance for the rank of (9.3) where forces are not unique")
+    forces_unique = flag("whether the motion determines the forces; else they are those of least norm")
+    callback_failed = flag("whether a call into Python or Pinocchio raised an exception")
+    evaluations = integer("number of evaluations of v̇")
 
     # thresholds
-    gap_floor = real("gaps above its negative count as none [m]")
-    touching_gap = real("at which a contact counts as touching [m]")
-    resting_speed = real("of a bounce that is taken as rest [m/s]; 0 where no contact is to stay closed")
-    least_approach = real("below which what has just closed its gap does not approach [m/s]")
-    stick_speed = real("below which a contact may stick [m/s]")
-    certain_speed = real("above which a contact keeps sliding where modes are set again [m/s]")
-    direction_speed = real("below which slip has no direction but the one last known [m/s]")
-    force_tolerance = real("by which Coulomb's law may seem violated through rounding [N]")
+    gap_floor = real("rounding error of gaps: one above its negative is not closed [m]")
+    touching_gap = real("gap up to which a contact is touching [m]")
+    resting_speed = real("speed of a bounce that is taken as rest [m/s]; 0 if no contact can stay closed")
+    least_approach = real("approach speed of a gap just closed below which it is taken as zero [m/s]")
+    stick_speed = real("speed below which a contact may stick [m/s]")
+    certain_speed = real("speed above which a contact keeps sliding when modes are chosen again [m/s]")
+    direction_speed = real("speed below which slip keeps its reference direction [m/s]")
+    force_tolerance = real("apparent violation of Coulomb's law that may be rounding [N]")
 
-    # the step under way
+    # the current step
     rtol = real("relative tolerance of a step")
     atol = real("absolute tolerance of a step")
     joint_charts = integers("charts", 4, meaning="table of the configuration space, see `lie_charts`")
@@ -151,36 +163,38 @@ class SceneWorkspace(Workspace):
     v0 = reals("nv", meaning="velocity at the start")
     q1 = reals("nq", meaning="configuration at the end")
     v1 = reals("nv", meaning="velocity at the end")
-    stage_rates = reals(DENSE_STAGES, "rates", meaning="rates of ξ, v and the works at the stages")
+    stage_rates = reals(DENSE_STAGES, "rates", meaning="rates of ξ, v and work at the stages")
     xi = reals("nv", meaning="chart coordinates ξ")
-    tolerance_sizes = reals("nv", meaning="what the relative tolerance of ξ refers to")
+    tolerance_sizes = reals("nv", meaning="magnitudes for the relative tolerance of ξ")
     rate_bounds = reals(4, "nv", meaning="see `dense_output.rate_bounds`")
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
-    slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
-    slip_ends = real("a guess of the time until the first slip ends [s], infinite if none slows down")
-    drive_rate = real("how fast the drives settled where the motion began [1/s], see `stiff_drives`")
-    previous_length = real("of the step before [s], 0 where there is none")
-    previous_error = real("of the step before, over the tolerance")
-    start_gaps = reals("contacts", 2, meaning="gap and rate at the start; infinite where not looked at")
-    start_spheres = reals("spheres", 2, meaning="the same of the spheres")
+    slip_stiffness = real("rate at which the direction of slip settles, at the start [1/s]; see `step_radau`")
+    slip_ends = real("estimated time until the first slip ends [s]; infinite if none slows down")
+    drive_rate = real("rate at which the drives settle, at the start of the motion [1/s]; see `stiff_drives`")
+    previous_length = real("length of the previous step [s], 0 if there is none")
+    previous_error = real("error of the previous step relative to the tolerance")
+    start_gaps = reals("contacts", 2, meaning="gap and gap rate at the start; infinite if not computed")
+    start_spheres = reals("spheres", 2, meaning="gap and gap rate of the bounding spheres at the start")
 
-    # the end of the step last completed, and the first event in it
-    step_start = real("[s]")
-    step_length = real("[s]")
+    # the last completed step, and the first event in it
+    step_start = real("time at its start [s]")
+    step_length = real("its length [s]")
     method = integer("of an explicit step: 0, 1, 2 for orders 8, 5, 3, see `step_dop853`")
-    step_turns = flag("whether the directions of slip were unknowns of it, see `step_radau`")
-    gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
-    turning_bounds = reals("contacts", meaning="of rims, see `contact_motion.turning_bound`")
-    sphere_bounds = reals("spheres", 4, meaning="as of contacts")
-    clear_blocks = integers("blocks", meaning="1 where the sphere has stayed off the surface over the step")
-    limit_bounds = reals("limits", 4, meaning="likewise")
-    end_gaps = reals("contacts", 2, meaning="gap and rate at the end; infinite where not looked at")
-    end_spheres = reals("spheres", 2, meaning="the same of the spheres")
+    step_turns = flag("whether the directions of slip were unknowns of the step, see `step_radau`")
+    gap_bounds = reals(
+        "contacts", 4, meaning="bounds of the motion over the step, see `gap_bounds.curvatures`"
+    )
+    turning_bounds = reals("contacts", meaning="ρ C of (15.4) for rims, see `contact_motion.turning_bound`")
+    sphere_bounds = reals("spheres", 4, meaning="`gap_bounds` of the bounding spheres")
+    clear_blocks = integers("blocks", meaning="1 if no contact of the group can close its gap in the step")
+    limit_bounds = reals("limits", 4, meaning="`gap_bounds` of the joint limits")
+    end_gaps = reals("contacts", 2, meaning="gap and gap rate at the end; infinite if not computed")
+    end_spheres = reals("spheres", 2, meaning="gap and gap rate of the bounding spheres at the end")
     end_velocity = reals("active_contacts", 3, meaning="contact velocities at the end [m/s]")
-    end_margin = real("the margin of the forces at the end [N]")
-    drift_at_end = real("of the active contacts, at the end; see `constraint_drift`")
-    growth = real("how much longer the next step may be")
-    force_bound_ignored = flag("whether forces beyond their bounds are no event: no other modes do better")
-    event_time = real("[s]; infinite where there is none, minus infinity to ask for a shorter step")
-    event_kind = integer("its position in the registry")
-    event_index = integer("which contact, limit or velocity")
+    end_margin = real("`force_margin` at the end [N]")
+    drift_at_end = real("constraint drift of the active set at the end, see `constraint_drift`")
+    growth = real("factor from this step size to the next one")
+    force_bound_ignored = flag("whether `force_bound` events are ignored since no other modes are admissible")
+    event_time = real("time of the event [s]; infinite if there is none, −inf to request a shorter step")
+    event_kind = integer("position of the event in the registry")
+    event_index = integer("number of the contact, limit or velocity")
