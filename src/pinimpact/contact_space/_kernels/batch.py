@@ -1,4 +1,4 @@
-"""Many problems in one call, row by row; a bad row spoils no other."""
+"""Batch of problems at one contact; invalid rows do not affect others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .recording import TRACE_ROWS
 
 @inlined
 def asymmetry(w):
-    """Whether W (3, 3) is further from symmetric than rounding."""
+    """Return whether W (3, 3) is asymmetric beyond rounding."""
     largest = max(
         max(abs(w[0, 0]), abs(w[1, 1]), abs(w[2, 2])), max(abs(w[0, 1]), abs(w[0, 2]), abs(w[1, 2]))
     )
@@ -45,13 +45,13 @@ def solve_rows(
     """Solve N problems.
 
     Args:
-        delassus, velocity, friction, restitution: (N, 3, 3), (N, 3), (N,), (N,).
+        delassus, velocity, friction, restitution: (N, 3, 3) W [1/kg], (N, 3) v [m/s], (N,) μ, (N,) e.
         law: Code of the law.
-        velocity_scale: (N,) sizes of the numbers that the velocities were formed from; 0: not known.
-        factors: (N, FACTOR) numbers of factors, see `inputs`, all 0 where there is none; or (0, FACTOR).
-        numbers: (N, 7) receives v⁺, P and the compression impulse.
-        codes: (N, 3) receives status, flags and iterations.
-        works: (N, 3) receives the work of compression, restitution and friction; (0, 3): not wanted.
+        velocity_scale: (N,) sizes of the terms that the velocities are the sums of [m/s]; 0: unknown.
+        factors: (N, FACTOR) factors of W, see `inputs`, rows of zeros for none; or (0, FACTOR).
+        numbers: (N, 7) is overwritten with v⁺, P and the compression impulse.
+        codes: (N, 3) is overwritten with status, flags and iterations.
+        works: (N, 3) is overwritten with the work of compression, restitution and friction; (0, 3): no work.
     """
     scratch, none = np.empty(SCRATCH), np.empty(0)
     path = np.empty((0, 6))

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 
 class Tableau(NamedTuple):
-    """An explicit method for dP_t/dP₃ = k: stage i stands at c[i]·h with P_t moved by h Σ a[i, j] kⱼ.
+    """Explicit Runge–Kutta method for dP_t/dP₃.
 
     Attributes:
         a: (m, m) strictly lower triangular.
         c: (m,) row sums of `a`.
         b: (m,) weights of the step.
-        area: (m,) weights of ∫ P_t dP₃ over the step, b(1 − c): they make the ledger of work.
-        error: (m,) weights of the error estimate; zeros where the method has none.
-        grading: How steps of given length are shortened near v_t = 0; 0 where they are not.
+        area: (m,) weights of ∫ P_t dP₃ over the step, b(1 − c), for the work.
+        error: (m,) weights of the error estimate; zeros for none.
+        grading: m of `slip_steps.graded` for fixed steps near v_t = 0; 0 for none.
     """
 
     a: NDArray[np.float64]
@@ -38,7 +38,7 @@ def _tableau(rows: list[list[float]], b: list[float], lower: list[float] | None 
     return Tableau(a, c, weights, weights * (1.0 - c), error, 0.0)
 
 
-# the Euler step is a straight line, so the area below it is known: a half
+# the area below a straight line
 EULER = _tableau([], [1.0])._replace(area=np.array([0.5]))
 
 RK4 = _tableau([[1 / 2], [0, 1 / 2], [0, 0, 1]], [1 / 6, 1 / 3, 1 / 3, 1 / 6])._replace(grading=5.0)

@@ -1,6 +1,6 @@
-"""From nine numbers to a problem that can be solved: checks, exact scaling and mirroring, the null space.
+"""Preparation of an impact at one contact: checks, exact scaling and mirroring, the null space of W.
 
-Shared by all methods that are kernels. (theory.md, sections 6 and 7)
+(theory.md, sections 6 and 7)
 """
 
 from __future__ import annotations
@@ -19,26 +19,28 @@ from .laws import counted, law_of_slow_approach
 from .tolerances import WELL_CONDITIONED
 
 PROCEEDS = np.int64(-1)
-"""Instead of a status: there is an impact to be followed."""
+"""Returned instead of a status: there is an impact to integrate."""
 
 TOO_SHORT = 2.0**-300
-"""Approach over slip at which an impact without jam sees no turn of the slip: laws agree, works underflow."""
+"""|v₃|/|v_t| below which slip does not turn during an impact with dv₃/dP₃ > 0. The energetic law then agrees
+with Poisson's, which is used because the work underflows."""
 
 DOUBTFUL = 2.0**20
-"""Where stick locks and the scale of v is not known, parts of v that W cannot have made may be so many times
-its rounding. Then they are zero, rather than that the answer is divided by them or refused for them."""
+"""Factor of the tolerance for parts of v in the null space of W, if stick locks and the scale of v is
+unknown. A result that is divided by such a part, or refused because of it, would be decided by rounding."""
 
 
 class View(NamedTuple):
-    """How a problem was brought into canonical axes and numbers of order one; all of it is exact.
+    """Transformation of a problem to canonical axes and numbers of order one; exact, unless `leaning`.
 
     Attributes:
         sign1, sign2: Signs of the tangent axes.
-        swapped: Whether they are then swapped.
-        diagonal: Whether swapping changes nothing.
-        scale_w, scale_v: W and v were divided by 2 to these powers.
-        leaning: Whether the tangent axes were then turned, which rounds, so that the second is
-        lean1, lean2: this direction, the one in which a nearly planar mechanism is weak.
+        swapped: Whether the axes are then swapped.
+        diagonal: Whether the problem is symmetric under the swap.
+        scale_w, scale_v: W and v are divided by 2 to these powers.
+        leaning: Whether the tangent axes are then rotated, with rounding, so that the second is (lean1,
+            lean2).
+        lean1, lean2: The direction in which a nearly planar mechanism is weak.
     """
 
     sign1: float
@@ -53,20 +55,20 @@ class View(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """An impact to be followed, as its `View` shows it.
+    """An impact to integrate, in the axes and units of its `View`.
 
     Attributes:
-        a11, a12, a22, b1, b2, c: W, with its zero eigenvalues removed.
-        k1, k2: Stick ratio κ = A⁺b.
-        s: c − bᵀA⁺b; exactly 0 where stick locks the normal direction.
-        mu, e: Friction and restitution.
-        law, counts: Code of the law, and what it counts.
+        a11, a12, a22, b1, b2, c: W, with eigenvalues that are taken as zero removed.
+        k1, k2: Stick ratio k = A⁺b.
+        s: c − bᵀA⁺b; exactly 0 if stick locks the normal direction.
+        mu, e: μ and e.
+        law, counts: Code of the law, and its quantity.
         v1, v2, v3: Velocity at the start.
         s1, s2, speed: Direction and speed of slip at the start.
-        offset: v₃ at v_t = 0 where s = 0.
+        offset: η, v₃ at v_t = 0, for s = 0.
         flat: Whether A is singular.
-        planar: Whether A is singular and slip in its range, so that it never turns.
-        endless_slip: Whether slip may turn into a direction in which nothing acts.
+        planar: Whether A is singular and slip is in its range, so that it never turns.
+        endless_slip: Whether slip may turn into a direction in which no force acts.
     """
 
     a11: float
@@ -96,7 +98,7 @@ class Problem(NamedTuple):
 
 @inlined
 def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
-    """Whether all numbers are finite, μ ≥ 0 and 0 ≤ e ≤ 1."""
+    """Return whether all numbers are finite, μ ≥ 0 and 0 ≤ e ≤ 1."""
     zero = 0.0 * w11 + 0.0 * w12 + 0.0 * w13 + 0.0 * w22 + 0.0 * w23 + 0.0 * w33
     zero += 0.0 * v1 + 0.0 * v2 + 0.0 * v3  # 0 times infinity is NaN, and so is every sum with one
     return zero == 0.0 and 0.0 <= mu < math.inf and 0.0 <= e <= 1.0 and 0.0 <= velocity_scale < math.inf
@@ -104,10 +106,7 @@ def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
 
 @inlined
 def canonical(w12, w13, w23, w11, w22, v1, v2):
-    """Choose signs and order of the tangent axes so that mirrored problems are one problem.
-
-    Returns the signs of t₁ and t₂, whether they are then swapped, and whether that changes nothing.
-    """
+    """Return signs, order and symmetry of the tangent axes, as in `View`, for which mirror images agree."""
     sign1 = -1.0 if v1 < 0.0 or (v1 == 0.0 and w13 < 0.0) else 1.0
     sign2 = -1.0 if v2 < 0.0 or (v2 == 0.0 and w23 < 0.0) else 1.0
     if sign1 * sign2 * w12 < 0.0:
@@ -122,13 +121,14 @@ def canonical(w12, w13, w23, w11, w22, v1, v2):
 
 @inlined
 def halves(exponent):
-    """Return two powers of two whose product is 2^exponent, also where that one would overflow."""
+    """Return two powers of two whose product is 2^exponent, even if that overflows."""
     half = exponent // 2
     return math.ldexp(1.0, half), math.ldexp(1.0, exponent - half)
 
 
 @inlined
 def _nothing_to_follow(status, figure, flags):
+    """Return the result of `prepare` for a status."""
     nan, no = math.nan, np.int64(0)
     view = View(1.0, 1.0, False, False, 0, 0, False, 0.0, 1.0)
     nans = (nan, nan, nan, nan, nan, nan, nan)
@@ -138,9 +138,9 @@ def _nothing_to_follow(status, figure, flags):
 
 @inlined
 def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
-    """Return W of rank two in tangent axes of which the second is e, where its null vector is norm e + n₃ e₃.
+    """Return W of rank two, with null vector norm e + n₃ e₃, in tangent axes of which the second is e. (6.3)
 
-    All that is small in it is made from n₃, so that it is right in every digit that n₃ has. (6.3)
+    Small entries are computed as products with n₃ and have its relative accuracy.
     """
     along = e2 * (e2 * a11 - e1 * a12) - e1 * (e2 * a12 - e1 * a22)
     skew = e2 * (e1 * a11 + e2 * a12) - e1 * (e1 * a12 + e2 * a22)
@@ -152,7 +152,7 @@ def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
 
 @inlined
 def _of_factor(factor, scale_w, sign1, sign2, swapped):
-    """Return what `of_factor` does, for a factor of W as it was given and a View of it."""
+    """Return the result of `of_factor` for a factor (FACTOR,) in the caller's axes and units."""
     half = scale_w // 2
     f = math.ldexp(1.0, -half)
     c11, c21, c22, c31, c32, c33, formed = factor
@@ -170,14 +170,15 @@ def _of_factor(factor, scale_w, sign1, sign2, swapped):
 
 
 @inlined
-def _seen(w11, w12, w13, w22, w23, w33, v1, v2, v3):
-    """Scale a problem by powers of two and mirror it: problems that differ by these get the same bits.
+def _normalized(w11, w12, w13, w22, w23, w33, v1, v2, v3):
+    """Scale a problem by powers of two and mirror it. (theory.md, section 7)
 
-    Returns W, v, the exponents of their scales, and the signs, order and symmetry of the axes, as in `View`.
+    Returns:
+        W (6), v (3), the exponents of their scales, and signs, order and symmetry of the axes, as in `View`.
     """
     largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
     largest_v = max(abs(v1), abs(v2), abs(v3))
-    # (adding 0 makes 64 bits of numba's 32)
+    # adding 0 makes numba's 32-bit exponents 64-bit
     scale_w, scale_v = 0 + math.frexp(largest_w)[1], 0 + math.frexp(largest_v)[1]
     sign1, sign2, swapped, diagonal = canonical(w12, w13, w23, w11, w22, v1, v2)
     fw1, fw2 = halves(-scale_w)
@@ -192,9 +193,12 @@ def _seen(w11, w12, w13, w22, w23, w33, v1, v2, v3):
 
 @inlined
 def _in_range(rank, s, a11, a12, a22, v1, v2, tiny, doubtful):
-    """Return v_t without rounding where A is singular, and whether A is, `planar`, and whether v_t crosses.
+    """Remove rounding from v_t for singular A. (theory.md, section 6)
 
-    Nothing acts across the range of A: v_t either has a part there for good, or none.
+    No force acts across the range of A, so a part of v_t there is constant, or zero within `doubtful`.
+
+    Returns:
+        v_t (2); whether A is singular; `Problem.planar`; whether v_t has a part across the range of A.
     """
     flat = planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
     if planar:
@@ -212,14 +216,14 @@ def _in_range(rank, s, a11, a12, a22, v1, v2, tiny, doubtful):
 
 @inlined
 def norm(x, y):
-    """Return √(x² + y²); the slower function of the library only where squares would vanish."""
+    """Return √(x² + y²), by the slower library function only if squares underflow."""
     square = x * x + y * y
     return math.sqrt(square) if square > TINY else math.hypot(x, y)
 
 
 @inlined
 def _slip(v1, v2):
-    """Return the speed and the direction of slip, (1, 0) for none."""
+    """Return the speed and the direction of slip; (1, 0) without slip."""
     speed, s1, s2 = norm(v1, v2), 1.0, 0.0
     if speed > 0.0:
         s1, s2 = v1 / speed, v2 / speed
@@ -228,14 +232,14 @@ def _slip(v1, v2):
 
 @inlined
 def _tie(v1, v2, v3, k1, k2, normal_part, law, factored, tiny, doubtful):
-    """Return v₃ − k·v_t, zero where it is rounding, and v₃; s = 0 ties them for good. (theory.md, 6)"""
+    """Return η = v₃ − k·v_t, which is constant for s = 0 and zero within rounding, and v₃. (theory.md, 6)"""
     offset = v3 - k1 * v1 - k2 * v2
-    known = offset > 0.0 and counted(law) == codes.IMPULSE  # nothing is then divided by it
+    known = offset > 0.0 and counted(law) == codes.IMPULSE  # then no result is divided by η
     if normal_part * abs(offset) <= (tiny if known else doubtful):
         tied = v3 - offset
         offset = 0.0
         if factored and abs(k2) <= 1.0 and tied < 0.0:
-            v3 = tied  # the null vector is nearer to the normal, and so is what is rounding
+            v3 = tied  # the null vector is mainly normal, and so is the rounding of v
     return offset, v3
 
 
@@ -244,18 +248,16 @@ def _tie(v1, v2, v3, k1, k2, normal_part, law, factored, tiny, doubtful):
 def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor):
     """Check, scale, mirror and classify a problem, and decide whether there is an impact.
 
-    Args:
-        velocity_scale: Size of the numbers that v was formed from; 0 where it is not known.
-        factor: `FACTOR` numbers of a factor of W, from which then all that is small in it is taken; or none.
+    Args: As for `path.solve_into`.
 
     Returns:
-        PROCEEDS or the status with which it ends here, the figure of that status' message, flags, the
-        `View` and the `Problem`.
+        PROCEEDS, or the status without integration; the number for its message; flags; the `View`; the
+        `Problem`.
     """
     if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
         return _nothing_to_follow(codes.INVALID_NUMBERS, 0.0, codes.NO_FLAG)
 
-    w11, w12, w13, w22, w23, w33, v1, v2, v3, scale_w, scale_v, sign1, sign2, swapped, diagonal = _seen(
+    w11, w12, w13, w22, w23, w33, v1, v2, v3, scale_w, scale_v, sign1, sign2, swapped, diagonal = _normalized(
         w11, w12, w13, w22, w23, w33, v1, v2, v3
     )
     fv1, fv2 = halves(-scale_v)
@@ -273,7 +275,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     jump = codes.NEAR_JUMP if doubt else codes.NO_FLAG
     flags |= jump
 
-    # a part of v that W cannot have made is rounding up to here, and a moving surface beyond (theory.md, 6)
+    # parts of v in the null space of W are rounding up to `tiny`, a moving surface above it (theory.md, 6)
     size = max(abs(v1) + abs(v2) + abs(v3), velocity_scale * fv1 * fv2)
     tiny = ZERO * spread * size
     doubtful = DOUBTFUL * tiny if velocity_scale == 0.0 and s == 0.0 else tiny
@@ -299,7 +301,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         v3 = 0.0
     speed, s1, s2 = _slip(v1, v2)
     if abs(v3) <= tiny and c < mu * (b1 * s1 + b2 * s2):
-        # without an approach friction drives the surface in, with the least retreat it does not
+        # friction starts an impact for v₃ = 0, but not for the smallest v₃ > 0
         jump = codes.NEAR_JUMP
         flags |= jump
     if v3 > 0.0 or (v3 == 0.0 and not (speed > 0.0 and c < mu * (b1 * s1 + b2 * s2))):

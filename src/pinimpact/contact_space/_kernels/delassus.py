@@ -1,4 +1,7 @@
-"""The Delassus matrix W = [[A, b], [bᵀ, c]]: its rank, its null space, and what stick makes of it."""
+"""Rank and null space of the Delassus matrix W = [[A, b], [bᵀ, c]], and its Schur complement in stick.
+
+(theory.md, section 6)
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from ..._compile.jit import inlined
 
 EPS = 2.0**-52
 ZERO = 32.0 * EPS
-"""Eigenvalues of W within ZERO·‖W‖ of zero are zero."""
+"""Eigenvalues of W within ZERO ‖W‖ of zero are taken as zero."""
 
 NOISE = 2.0 * EPS
-"""What rounding leaves, over the spread, of a part of a null vector that is none."""
+"""Rounding error of a component of a null vector that is exactly zero, over the spread."""
 
 MOST_SPREAD = 2.0**27
-"""ZERO times the spread is how far directions of the null space are off; never taken for more than 2⁻²⁰."""
+"""Largest spread: directions of the null space are uncertain by ZERO times the spread, 2⁻²⁰ at most."""
 
 
 @inlined
@@ -34,7 +37,7 @@ def jacobi_angle(app, aqq, apq):
 
 @inlined
 def _rotate(app, aqq, apq, apr, aqr, vp, vq):
-    """One Jacobi rotation that annihilates apq; vp and vq are the columns p, q of the eigenvectors."""
+    """Apply the Jacobi rotation that annihilates apq; vp and vq are the columns p, q of the eigenvectors."""
     if apq == 0.0:
         return app, aqq, apr, aqr, vp, vq
     t, cos, sin = jacobi_angle(app, aqq, apq)
@@ -76,28 +79,28 @@ def _sort3(l1, l2, l3, x, y, z):
 
 
 GRADED = 2.0**-10
-"""A diagonal of W that spans more than this is looked at in units of its own."""
+"""Ratio of the least to the largest diagonal entry of W below which W is scaled by (6.2)."""
 
 CORRELATED = 2.0**-10
-"""Part of its bound √(wᵢᵢwⱼⱼ) that an entry of a small row reaches only if rounding did not make it."""
+"""|wᵢⱼ|/√(wᵢᵢwⱼⱼ) above which an entry of a small row cannot be rounding."""
 
 LEANING = 2.0**-6
-"""Normal part of a null vector below which the tangent axes are turned to it."""
+"""Normal component of a null vector below which the tangent axes are rotated to it, (6.3)."""
 
 
 class Delassus(NamedTuple):
-    """What W is found to be. (theory.md, 6)
+    """Classification of W. (theory.md, 6)
 
     Attributes:
-        rank: Its rank; −1: indefinite.
-        w11 … w33: W with its zero eigenvalues removed.
-        k1, k2: Stick ratio κ = A⁺b.
-        s: c − bᵀA⁺b; exactly 0 where stick locks the normal direction.
-        least: The smallest eigenvalue found.
-        spread: ‖W‖/λ of the smallest eigenvalue λ that counts.
-        n1, n2, n3: Null vector, where the rank is 2; where it is 1, n₃ is the tangential part of the range,
-            so that v₃ = κ·v_t + η holds to rounding over n₃; else 0, 0, 1.
-        doubt: Whether it is rounding that says if the null vector is tangential or normal, or neither.
+        rank: Rank of W; −1: indefinite.
+        w11 … w33: W with eigenvalues that are taken as zero removed.
+        k1, k2: Stick ratio k = A⁺b.
+        s: c − bᵀA⁺b; exactly 0 if stick locks the normal direction.
+        least: The smallest eigenvalue.
+        spread: ‖W‖/λ, with λ the smallest eigenvalue that is not taken as zero.
+        n1, n2, n3: Null vector for rank 2; for rank 1 n₃ is the tangential part of the range, and v₃ = k·v_t
+            + η holds to rounding over n₃; else (0, 0, 1).
+        doubt: Whether rounding decides that the null vector is tangential, normal, or neither.
     """
 
     rank: np.int64
@@ -123,13 +126,13 @@ REGULAR, NOWHERE, ALONG_NORMAL = np.int64(3), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 @inlined
 def _found(rank, w, stick, least, spread, null, doubt):
-    """Return a `Delassus` from W (6), κ with s (3), and the null vector (3)."""
+    """Return a `Delassus` from W (6), k with s (3), and the null vector (3)."""
     return Delassus(*(rank, *w, *stick, least, spread, *null, doubt))
 
 
 @inlined
 def eliminate(w11, w12, w13, w22, w23, w33):
-    """Return det W (0 where a pivot is not positive), κ (2) and s, by elimination, the larger pivot first."""
+    """Return det W, k (2) and s by elimination, the larger pivot first; zeros if a pivot is not positive."""
     first = w11 >= w22
     pivot, other, bp, bo = (w11, w22, w13, w23) if first else (w22, w11, w23, w13)
     if pivot > 0.0:
@@ -148,21 +151,25 @@ def eliminate(w11, w12, w13, w22, w23, w33):
 
 @inlined
 def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
-    """Return W cleared of what acts along its null vector n, a unit vector that is known to ZERO·spread.
+    """Return the `Delassus` of a W of rank two.
 
-    Parts of it up to `noise` times the spread may be rounding.
+    Args:
+        w11 … w33: W without its zero eigenvalue.
+        n: Unit null vector, known to ZERO `spread`.
+        least, spread: As in `Delassus`.
+        noise: Bound on the rounding of components of n, over the spread.
     """
     n1, n2, n3 = n
     norm = math.hypot(n1, n2)
     uncertain = ZERO * spread
     two = np.int64(2)
-    # in turned axes the same W has its null vector to rounding times trace²/(sum of the principal minors)
+    # the rounding of the null vector is that of W times trace²/(sum of the principal minors), in any axes
     minors = w11 * w22 - w12 * w12 + w11 * w33 - w13 * w13 + w22 * w33 - w23 * w23
     trace = w11 + w22 + w33
     part = min(norm, abs(n3)) * minors
     doubt = noise * trace * trace < part < 2.0 * ZERO * trace * trace
     if norm <= uncertain:
-        # nothing moves along the normal
+        # no mobility along the normal
         return _found(two, (w11, w12, 0.0, w22, 0.0, 0.0), NOWHERE, least, spread, ALONG_NORMAL, doubt)
     if abs(n3) > uncertain:
         stick = -n1 / n3, -n2 / n3, 0.0
@@ -179,7 +186,7 @@ def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
 
 @inlined
 def _spread(w11, w12, w13, w22, w23, w33):
-    """Return λ₃/λ₂ of a W whose least eigenvalue is zero, and infinity where rounding makes it."""
+    """Return λ₃/λ₂ of a W whose least eigenvalue is zero; inf if λ₂ is rounding."""
     half = 0.5 * (w11 + w22 + w33)
     product = w11 * w22 - w12 * w12 + w11 * w33 - w13 * w13 + w22 * w33 - w23 * w23
     largest = half + math.sqrt(max(0.0, half * half - product))
@@ -194,9 +201,9 @@ def _unit_of(x):
 
 @inlined
 def _graded(w11, w12, w13, w22, w23, w33):
-    """Classify a W of which a row is small, in units in which its diagonal is of order one. (6.2)
+    """Classify a W with a small row after scaling its diagonal to order one. (6.2)
 
-    Returns whether that decides, and the `Delassus` if it does.
+    Return whether that is conclusive, and the `Delassus` if so.
     """
     u1, u2, u3 = _unit_of(w11), _unit_of(w22), _unit_of(w33)
     g11, g22, g33 = w11 * u1 * u1, w22 * u2 * u2, w33 * u3 * u3
@@ -225,7 +232,7 @@ def _graded(w11, w12, w13, w22, w23, w33):
 
 @inlined
 def nearly_singular(w11, w12, w13, w22, w23, w33):
-    """Decide the rank of a W that its determinant does not clear, by eigenvalues; clean it. (theory.md, 6)"""
+    """Return the `Delassus` of a W with a small determinant, by its eigenvalues. (theory.md, 6)"""
     smallest, largest = min(w11, w22, w33), max(w11, w22, w33)
     if ZERO * ZERO * largest < smallest < GRADED * largest:
         decided, found = _graded(w11, w12, w13, w22, w23, w33)
@@ -238,7 +245,7 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
     if l1 < -zero:
         return _found(np.int64(-1), (w11, w12, w13, w22, w23, w33), NOWHERE, l1, 1.0, ALONG_NORMAL, False)
     if l1 > zero:
-        # κ = −(w₁, w₂)/w₃ and s = 1/w₃ with w = W⁻¹e₃, summed over the eigenvectors
+        # k = −(w₁, w₂)/w₃ and s = 1/w₃ with w = W⁻¹e₃, summed over the eigenvectors
         g1, g2, g3 = x[2] / l1, y[2] / l2, z[2] / l3
         q3 = g1 * x[2] + g2 * y[2] + g3 * z[2]
         k1 = -(g1 * x[0] + g2 * y[0] + g3 * z[0]) / q3
@@ -246,7 +253,7 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
         return _found(
             REGULAR, (w11, w12, w13, w22, w23, w33), (k1, k2, 1.0 / q3), l1, l3 / l1, ALONG_NORMAL, False
         )
-    if l2 > zero + max(l1, 0.0):  # else rounding would decide between their directions
+    if l2 > zero + max(l1, 0.0):  # otherwise rounding would decide between their directions
         w11 -= l1 * x[0] * x[0]
         w12 -= l1 * x[0] * x[1]
         w13 -= l1 * x[0] * x[2]
@@ -269,7 +276,7 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
 
 @inlined
 def clear(w11, w12, w13, w22, w23, w33, least):
-    """Tell whether det W is above `least` (tr W)³, so that W is regular; return its `Delassus` if it is."""
+    """Return whether W is regular by det W > `least` (tr W)³, and its `Delassus` if so."""
     trace = w11 + w22 + w33
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = det > 0.0 and det > least * trace * trace * trace
@@ -279,21 +286,21 @@ def clear(w11, w12, w13, w22, w23, w33, least):
 
 
 FORMED = 4.0 * EPS
-"""Parts of a factor within this of the size that it was formed from are zero; rounding makes 0.2 ε of it."""
+"""Entries of a factor within FORMED times its scale are taken as zero; rounding errors are up to 0.2 ε."""
 
 FORMED_NOISE = 0.5 * EPS
-"""What rounding leaves of a part that is none."""
+"""Rounding error of an entry that is exactly zero, over the scale."""
 
 UNKNOWN = 8.0
-"""Where that size is not known, so many times the factor's own."""
+"""The scale of a factor over its norm, if the scale is unknown."""
 
 
 @inlined
 def triangle(x, y, z):
-    """Return the lower triangle of X (3, m), XXᵀ = CCᵀ, for its rows x, y, z of 3: c₁₁ … c₃₃ row by row.
+    """Return the lower triangle C, CCᵀ = XXᵀ, of X (3, 3) with rows x, y, z: c₁₁ … c₃₃ row by row.
 
-    c₂₂ and c₃₃ are the lengths of what is left of y and z, right to rounding of y and z. Where a diagonal
-    entry is zero, so are those below it.
+    Gram–Schmidt makes c₂₂ and c₃₃ accurate to rounding of y and z. Entries below a zero diagonal entry are
+    zero.
     """
     c11 = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
     i1 = 1.0 / c11 if c11 > 0.0 else 0.0
@@ -312,7 +319,7 @@ def triangle(x, y, z):
 
 @inlined
 def weak_axis(x, y):
-    """Return the unit tangential direction e (2) in which rows x and y of 3, of t₁ and t₂, are least."""
+    """Return the unit tangential direction e (2) in which the rows x and y (3) of t₁ and t₂ are smallest."""
     xx = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
     yy = y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
     xy = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
@@ -324,15 +331,15 @@ def weak_axis(x, y):
 
 @inlined
 def of_factor(x, y, z, formed):
-    """Decide the rank of W = XXᵀ by its factor, whose small singular values have all their digits. (6.5)
+    """Classify W = XXᵀ by its factor, which has accurate small singular values. (6.5)
 
     Args:
-        x, y, z: Rows of X (3, 3).
-        formed: Size of the numbers that X was formed from.
+        x, y, z: Rows (3) of X.
+        formed: Scale of X: size of the terms that its entries are the sums of; 0 if unknown.
 
     Returns:
-        the `Delassus`, in tangent axes of which the second is that in which X is least; e (2), the second
-        axis as doubles know it; and the angle from there, less than rounding.
+        The `Delassus`, in tangent axes of which the second is that in which X is smallest; this axis e (2);
+        and the remaining angle to it, which is below rounding.
     """
     e1, e2 = weak_axis(x, y)
     strong = (e2 * x[0] - e1 * y[0], e2 * x[1] - e1 * y[1], e2 * x[2] - e1 * y[2])
@@ -344,22 +351,22 @@ def of_factor(x, y, z, formed):
     zero, noise = FORMED * formed, FORMED_NOISE * formed
     k1 = k2 = s = area = 0.0
     n3 = 1.0
-    d1 = d2 = d3 = 0.0  # a third column, in which the rows are as the null vector n ∝ (−κ, 1) wants them
-    # rounding decides whether there is a wedge
+    d1 = d2 = d3 = 0.0  # a third column that corrects the rows for the null vector n ∝ (−k, 1)
+    # rounding decides whether the contact can wedge
     doubt = noise < c22 < 2.0 * zero or noise < normal < 2.0 * zero
     rest = 0.0
     if c11 <= zero or c22 <= zero:
         c22 = 0.0
-    else:  # at right angles the rows keep all that is small apart from what is large
+    else:  # with orthogonal rows, errors of the large one do not reach the small one
         rest = c21 / c11
-    if normal <= zero:  # nothing moves along the normal
+    if normal <= zero:  # no mobility along the normal
         c31 = c32 = c33 = 0.0
         area = c11 * c22
-    elif c11 <= zero:  # nothing moves but along the normal
+    elif c11 <= zero:  # mobility along the normal only
         c11 = c31 = c32 = 0.0
         c33 = normal
     else:
-        if c22 <= zero:  # nothing moves across
+        if c22 <= zero:  # no mobility along e
             if abs(c31) <= zero:
                 c31 = 0.0
             c33, c32 = math.hypot(c32, c33), 0.0
@@ -368,7 +375,7 @@ def of_factor(x, y, z, formed):
         k1 = c31 / c11
         n3 = 1.0 / math.sqrt(1.0 + k1 * k1 + k2 * k2)
         least = c33 * n3
-        # locked, or an impulse of 10¹⁴ times the common
+        # locked, or an impulse 10¹⁴ times the usual one
         doubt = doubt or (c22 > 0.0 and noise < least < 2.0 * zero)
         if least <= zero:
             d1, d2, d3 = k1 * n3 * least, k2 * n3 * least, (k1 * k1 + k2 * k2) * n3 * least
@@ -378,7 +385,6 @@ def of_factor(x, y, z, formed):
             area = math.sqrt(m1 * m1 + m2 * m2 + m3 * m3 + m4 * m4)
     s = c33 * c33
     rank = np.int64(c11 > 0.0) + np.int64(c22 > 0.0) + np.int64(c33 > 0.0)
-    # the null vectors are known to ZERO times this
     spread = 1.0
     if size > 0.0:
         spread = max(formed / UNKNOWN * (size / area if area > 0.0 else 1.0 / size), 1.0)

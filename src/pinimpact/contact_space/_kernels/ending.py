@@ -1,4 +1,4 @@
-"""The answer of an impact: its form, what it is flagged with, and the way back from the `View`."""
+"""The result of an impact: status, flags, and conversion from the axes and units of the `View`."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from .delassus import EPS
 
 
 class Result(NamedTuple):
-    """What a solver finds; it returns it as a plain tuple, which Python gets in a quarter of the time.
+    """Result of a solver, which returns it as a plain tuple: numba converts that four times as fast.
 
     Attributes:
-        status, flags, iterations: Values of `Status` and `Flag`, and the moves or steps taken.
+        status, flags, iterations: Values of `Status` and `Flag`, and the number of moves or steps.
         v1, v2, v3: v⁺ [m/s].
         p1, p2, p3: P [N s].
         compression_impulse: Normal impulse of all compression [N s].
-        figure: The number that a failure's message gives.
-        trace_rows: Rows of the trace that were filled,
-        path_points: and points of the path.
+        figure: The number for the error message of a failure.
+        trace_rows, path_points: Numbers of rows of the trace and of points of the path that were filled.
     """
 
     status: np.int64
@@ -44,21 +43,21 @@ class Result(NamedTuple):
 
 @inlined
 def plain(result):
-    """Return an `Result` as a plain tuple."""
+    """Return a `Result` as a plain tuple."""
     status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points = result
     return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points
 
 
 @inlined
 def no_result(status, figure):
-    """Return the answer of a problem that has none."""
+    """Return the `Result` of a problem without solution."""
     nan, no = math.nan, np.int64(0)
     return Result(status, codes.NO_FLAG, no, nan, nan, nan, nan, nan, nan, nan, figure, no, no)
 
 
 @inlined
 def not_begun(begins, figure, flags, v1, v2, v3):
-    """Return the values of the answer where `prepare` finds no impact, or a reason why there is no answer."""
+    """Return the values of the `Result` if `prepare` finds no impact or no solution; v is that before."""
     if begins == codes.NO_IMPACT:
         no = np.int64(0)
         return plain(Result(codes.NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no))
@@ -67,7 +66,7 @@ def not_begun(begins, figure, flags, v1, v2, v3):
 
 @inlined
 def _creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
-    """Whether the kinetic energy gained from v to w, ½ P·(v + w), is beyond its rounding. (1.5)"""
+    """Return whether the kinetic energy gained from v to w, ½ P·(v + w), exceeds its rounding. (1.5)"""
     gained = p1 * (v1 + w1) + p2 * (v2 + w2) + p3 * (v3 + w3)
     size = abs(p1) * (abs(v1) + abs(w1)) + abs(p2) * (abs(v2) + abs(w2)) + abs(p3) * (abs(v3) + abs(w3))
     return gained > 64.0 * EPS * size
@@ -75,7 +74,7 @@ def _creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
 
 @inlined
 def turn_back(view, x1, x2):
-    """Turn a tangential vector back into the axes before leaning."""
+    """Rotate a tangential vector from the axes of a leaning `View` back to those before."""
     return view.lean2 * x1 + view.lean1 * x2, view.lean2 * x2 - view.lean1 * x1
 
 
@@ -84,10 +83,17 @@ def turn_back(view, x1, x2):
 def finish(
     view, problem, status, flags, iterations, velocity, impulse, compressed, trace, rows, path, points
 ):
-    """Close an impact: status and flags, and the way back to the user's axes and units.
+    """Set the final status and flags, and convert to the caller's axes and units.
 
-    v⁺ (3) and P (3) are given in the `View`; the first `rows` of the trace and `points` of the path are
-    turned back too.
+    Args:
+        view, problem: The `View` and the `Problem`.
+        status, flags, iterations: Of the impact so far.
+        velocity, impulse, compressed: v⁺ (3), P (3) and the compression impulse, in the `View`.
+        trace, rows: The trace, of which the first `rows` are converted in place.
+        path, points: Likewise the path.
+
+    Returns:
+        The `Result`.
     """
     v1, v2, v3 = velocity
     p1, p2, p3 = impulse
@@ -145,10 +151,12 @@ def finish(
 def followed(
     view, problem, status, figure, flags, iterations, velocity, impulse, ledger, trace, rows, path, points
 ):
-    """Return the values of the `Result` of an impact that has been followed, or of why there is none.
+    """Return the values of the `Result` of an integrated impact.
 
-    The status is SEPARATED or LOCKED, else that of an error, with the figure of its message; the `Ledger`
-    is that at the end. Other arguments are as in `finish`.
+    Args:
+        status, figure: SEPARATED or LOCKED; else that of a failure, with the number for its message.
+        ledger: The `Ledger` at the end.
+        view … points: Otherwise as for `finish`.
     """
     if status not in (codes.SEPARATED, codes.LOCKED):
         return plain(no_result(status, math.ldexp(figure, view.scale_v)))

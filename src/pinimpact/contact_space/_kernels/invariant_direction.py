@@ -1,8 +1,8 @@
-"""Slip that converges to an invariant direction or leaves one, as a series around it. (theory.md, section 4)
+"""Series of slip that approaches an invariant direction or departs from one. (theory.md, section 4)
 
-Around a root of p the speed is a power of the angle to it times an analytic function, R ∝ yᵃ H(y). All that
-is left of the slip as it converges, down to v_t = 0 (a > 0) or out to infinity (a < 0), is one convergent
-series: there is no speed at which "small" would begin. And so is all of it as it leaves, from any angle.
+Around a root of p the speed is a power of the angle to it times an analytic function, R ∝ yᵃ H(y). One
+convergent series describes the whole approach, to v_t = 0 (a > 0) or to infinite speed (a < 0), and the
+departure from any angle, so no threshold of a small speed is needed.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_
 from .tolerances import ROOT
 
 NEARBY = 0.3
-"""Influence of the other roots of p up to which a series goes around one. (4.1)"""
+"""Largest influence of the other roots of p for a series around one. (4.1)"""
 
 LEFT_TO = 0.5
-"""The influence up to which a series may follow slip that leaves a direction, from within a fifth of it."""
+"""Largest influence of the other roots in a series of a departure, which starts within a fifth of that."""
 
 
 @inlined
 def nearby_root(p0, polynomials):
-    """Return the root of p that slip converges to or leaves, if it is simple and close, else 0. (4.1)"""
+    """Return the root of p that slip approaches or departs from, if it is simple and close, else 0. (4.1)"""
     p1, p2, p3, p4, _, _, _, _ = polynomials
     if p1 == 0.0:
         return 0.0
@@ -45,18 +45,20 @@ def nearby_root(p0, polynomials):
 
 @inlined
 def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s1, s2, root, leaving):
-    """Expand around the invariant direction at half-angle tangent `root` from the direction (s1, s2).
+    """Expand G(y) = H/π of (4.3) around an invariant direction.
 
     Args:
-        coefficients: Receives the coefficients of G(y) = H/π. (4.3)
-        reciprocals: Receives 1/(a + k), and 0 where that is close to a pole.
-        weak, a11 … b2: As in `along_slip`.
-        leaving: Whether slip leaves that direction, and does not converge to it.
+        coefficients: (TERMS + 1,) is overwritten with the coefficients of G.
+        reciprocals: (TERMS + 5,) is overwritten with 1/(a + k), or 0 for |a + k| < 1/2.
+        weak, a11 … b2: As for `along_slip`.
+        s1, s2: The present slip direction.
+        root: Half-angle tangent from there to the invariant direction.
+        leaving: Whether slip departs from the invariant direction.
 
     Returns:
-        whether the series converges up to the present direction; how many coefficients there are after the
-        first; up to which y it converges; the invariant direction (2); p₁ and b∥/ω, b⊥/ω there; the size of
-        the terms of m₀; and the `Shape`.
+        Whether the series converges up to the present direction; the number of coefficients after the first;
+        the y up to which it converges; the invariant direction (2); p₁, b∥/ω and b⊥/ω there; the size of the
+        terms of m₀; and the `Shape`.
     """
     scale = 1.0 / (1.0 + root * root)
     cos, sin = (1.0 - root * root) * scale, 2.0 * root * scale
@@ -100,7 +102,7 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
         power *= start
         here += new * power
         last = abs(g0) + abs(g1) + abs(g2)
-        if last <= VANISHING * min(here, total):  # from here on they decay, for (4.1) holds
+        if last <= VANISHING * min(here, total):  # the next ones are smaller, by (4.1)
             count = k + 1
             break
     most = 1.0

@@ -1,7 +1,7 @@
-"""The restitution laws in the kernels: what each counts, its goal, and the first event at constant rates.
+"""Restitution laws in kernels: their quantities and goals, and the first event at constant rates.
 
-Only `counted`, `restitution_goal` and `law_of_slow_approach` tell laws apart, by codes that `laws.LAWS`
-gives; all else asks what is counted. (theory.md, section 2)
+Only `counted`, `restitution_goal` and `law_of_slow_approach` distinguish laws, by their index in `laws.LAWS`;
+other kernels depend only on the quantity that `counted` returns. (theory.md, section 2)
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _COUNTED = np.array([getattr(codes, what.upper()) for what in COUNTED])
 
 @inlined
 def counted(law):
-    """Return what the law counts in restitution: VELOCITY, IMPULSE or WORK."""
+    """Return the quantity that a law prescribes for restitution: VELOCITY, IMPULSE or WORK."""
     return _COUNTED[law]
 
 
 @inlined
 def restitution_goal(law, e, compression_impulse, compression_work, approach):
-    """What restitution has to reach in all: an impulse, a work, or a velocity. (2.4)–(2.6)"""
+    """Return the goal of restitution, an impulse, a work, or a velocity. (2.4)–(2.6)"""
     if law == POISSON:
         return e * compression_impulse
     if law == ENERGETIC:
@@ -36,16 +36,16 @@ def restitution_goal(law, e, compression_impulse, compression_work, approach):
 
 @inlined
 def law_of_slow_approach(law):
-    """Return the law that ends the impact where `law` does while v₃ is linear in P₃, and needs no work.
+    """Return a law that is equivalent to `law` for v₃ linear in P₃ and does not need the work.
 
-    For an approach so slow that works underflow: then W_r = e² W_c is P_r = e P_c.
+    The work of a very slow approach underflows. For linear v₃, W_r = −e² W_c is P_r = e P_c.
     """
     return POISSON if law == ENERGETIC else law
 
 
 @inlined
 def left_of_goal(counts, goal, v3, restored, restitution_work):
-    """Return what is left of the goal: velocity, impulse or work still to be gained."""
+    """Return the remainder of the goal: the velocity, impulse or work still to be gained."""
     if counts == codes.IMPULSE:
         return goal - restored
     if counts == codes.WORK:
@@ -55,10 +55,14 @@ def left_of_goal(counts, goal, v3, restored, restitution_work):
 
 @inlined
 def first_event(phase, counts, left, v3, rate):
-    """Return the normal impulse until the first event while dv₃/dP₃ = rate stays constant, and which it is.
+    """Return the normal impulse up to the first event at constant dv₃/dP₃, inf for none, and the event.
 
-    It is infinite where there is none. `counts` is what the law counts; in restitution `left` is left of its
-    goal.
+    Args:
+        phase: COMPRESSION or RESTITUTION.
+        counts: The quantity of the law.
+        left: Remainder of its goal, in restitution.
+        v3: v₃ at the start.
+        rate: dv₃/dP₃.
     """
     if phase == codes.COMPRESSION:
         if rate > 0.0:

@@ -1,4 +1,4 @@
-"""The sums of the normal direction, and what an event brings: phases end, the law is met. (theory.md, 2)"""
+"""Sums of normal impulse and work, and transitions between phases at events. (theory.md, 2)"""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from .tolerances import CLOSE_TO_JUMP
 
 
 class Ledger(NamedTuple):
-    """Where the impact stands.
+    """Phase of the impact and sums so far.
 
     Attributes:
         phase: COMPRESSION or RESTITUTION.
-        phase_start: P₃ at which the present compression began.
-        compressed, restored: Normal impulses of all closed compressions and of all restitution.
-        compression_work, restitution_work: Normal works so far.
-        goal: What restitution has to reach, once there is one.
+        phase_start: P₃ at the start of the present compression.
+        compressed, restored: Normal impulses of all completed compressions and of all restitution.
+        compression_work, restitution_work: Normal work.
+        goal: Impulse, work or velocity at which restitution ends, by (2.4)–(2.6); 0 before the first
+            restitution.
     """
 
     phase: np.int64
@@ -35,29 +36,29 @@ class Ledger(NamedTuple):
 
 @inlined
 def new_ledger():
-    """Return the ledger of an impact that begins."""
+    """Return the `Ledger` at the start of an impact."""
     return Ledger(codes.COMPRESSION, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
 def left_to_gain(ledger, counts, v3):
-    """Return what is left of the restitution's goal."""
+    """Return the remainder of the goal of restitution; `counts` is the quantity of the law."""
     return left_of_goal(counts, ledger.goal, v3, ledger.restored, ledger.restitution_work)
 
 
 @inlined
 def close_move(ledger, problem, event, span, work, rate, left, p3):
-    """Enter a move into the ledger and do what its event brings.
+    """Add a move to the ledger and change the phase at its event.
 
     Args:
-        event: What ended the move.
+        ledger, problem: The `Ledger` before the move, and the `Problem`.
+        event: The event that ends the move.
         span, work, rate: Its normal impulse, its normal work, and dv₃/dP₃ at its end.
-        left: What was left of the goal at its start.
-        p3: Normal impulse at its end.
+        left: Remainder of the goal at its start.
+        p3: P₃ at its end.
 
     Returns:
-        the ledger, the event (LAW_MET also where compression ends and nothing is to be restored), and flags
-        to be set.
+        The `Ledger`; the event, with LAW_MET for an end of compression without restitution; flags to be set.
     """
     phase, phase_start, compressed, restored, compression_work, restitution_work, goal = ledger
     flags = codes.NO_FLAG
@@ -77,8 +78,8 @@ def close_move(ledger, problem, event, span, work, rate, left, p3):
         phase = codes.COMPRESSION
         phase_start = p3
         if problem.counts != codes.VELOCITY:
-            # v₃ rose to `peak` and came back; had the approach been a little slower the rise had been higher,
-            # lasted longer in the proportion of the root, and perhaps long enough
+            # v₃ rose to `peak` and fell back; a slightly slower approach gives a higher peak, which lasts
+            # longer in proportion to its root, and might reach the goal (theory.md, 2)
             peak = -0.25 * rate * restored
             higher = 1.0 - CLOSE_TO_JUMP * problem.v3 / peak if peak > 0.0 else math.inf
             longer = math.sqrt(higher)

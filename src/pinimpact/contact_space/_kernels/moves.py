@@ -1,11 +1,9 @@
-"""The moves of an impact: how everything changes from here, and where a straight move ends.
+"""Moves of an impact: the rates of change at a state, and straight moves in closed form.
 
-An impact is a chain of moves. Each goes from one `State` to the next, along a `Course` with constant rates
-(straight slip, stick, resumed slip) or along one series of slip that turns (`turning_slip`), and ends
-where an event, its own end or the reach of its series says. The `State`s on both sides, the `Course` and
-the `Move` are all that a routine needs which follows the chain, such as one for derivatives: the state
-after a move is a function of the state before and of the `Problem`, and nothing else is carried over but
-the `Ledger`. (theory.md, sections 3 to 5)
+An impact is a sequence of moves. Each leads from one `State` to the next, either with the constant rates of a
+`Course` (straight slip, stick, resumed slip) or along a series of turning slip (`turning_slip`), up to an
+event, the end of the mode, or the convergence limit of the series. The state after a move depends only on the
+state before it, the `Problem` and the `Ledger`. (theory.md, sections 3 to 5)
 """
 
 from __future__ import annotations
@@ -25,20 +23,19 @@ from .slip_equations import Polynomials, along_slip, in_frame, polynomials
 from .tolerances import NEAR_THRESHOLD
 
 STRAIGHT = 2.0**-54
-"""An angle that turns no double: slip this close to an invariant direction is straight."""
-
+"""Angle [rad] to an invariant direction below which slip is straight in double precision."""
 
 WEAK = 2.0**-10
-"""Ratio of the diagonal of A below which its smaller axis counts as weak."""
+"""Ratio of the diagonal entries of A below which the axis of the smaller one is weak."""
 
 
 class State(NamedTuple):
-    """Where an impact stands between two moves.
+    """State of an impact between two moves.
 
     Attributes:
-        s1, s2, speed: Direction and speed of slip.
+        s1, s2, speed: Direction σ and speed of slip.
         v3: Normal velocity.
-        turn: p₀, the rate at which the direction turns; carried along to keep its relative accuracy.
+        turn: p₀, the rate at which slip turns; a state variable to keep its relative accuracy.
         p1, p2, p3: Impulse so far.
     """
 
@@ -53,16 +50,16 @@ class State(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Constant rates per P₃, in a straight move.
+    """Rates of change with P₃ in a straight move.
 
     Attributes:
         mode: IN_SLIP, IN_STICK or IN_RESUMED_SLIP.
         rate: dv₃/dP₃.
-        gain: Rate of the speed of slip.
-        dp1, dp2: Rates of the tangential impulse.
-        until: Normal impulse after which the move ends by itself,
-        ends_slip: and whether slip does so then.
-        turning, growth: Rates of ln(speed) and of ln(turn), twice, along an invariant direction.
+        gain: d|v_t|/dP₃.
+        dp1, dp2: dP_t/dP₃.
+        until: Normal impulse after which the mode, or the straight slip, ends.
+        ends_slip: Whether v_t = 0 there.
+        turning, growth: m₀ and p₁: d ln|v_t|/ds, and twice d ln|p₀|/ds, along an invariant direction.
     """
 
     mode: np.int64
@@ -83,7 +80,7 @@ class Units(NamedTuple):
         a11, a12, a22: μA/ω.
         b1, b2: b/ω.
         omega, per: ω, a power of two, and 1/ω.
-        weak: The axis along which A is weak, 1 or 2, or 0.
+        weak: The axis along which A is weak, 1 or 2, or 0 for none.
     """
 
     a11: float
@@ -97,15 +94,15 @@ class Units(NamedTuple):
 
 
 class Move(NamedTuple):
-    """What a move came to.
+    """Result of a move.
 
     Attributes:
-        event: What ended it; NO_EVENT where the impact just goes on another course, NEVER where nothing will.
+        event: The event that ends it; NO_EVENT if only the course changes, NEVER if no event follows.
         span: Its normal impulse.
-        work, friction_work: Works of the normal and the tangential impulse.
+        work, friction_work: Work of the normal and the tangential impulse.
         rate: dv₃/dP₃ at its end.
-        length, root: Of turning slip, how far it goes along its series, and the half-angle tangent of the
-            invariant direction that this is around; there length is L. Else 0.
+        length, root: For turning slip, the length x of the series, or L of a series around an invariant
+            direction, and the half-angle tangent of that direction; else 0.
     """
 
     event: np.int64
@@ -127,7 +124,7 @@ def slip_units(problem):
     muo = mu * per
     weak = 0
     if problem.flat:
-        weak = 0  # nothing creeps there, and a force that is rounding would pass for one
+        weak = 0  # no creep there, and rounding errors would be taken for forces
     elif problem.a22 < WEAK * problem.a11:
         weak = 2
     elif problem.a11 < WEAK * problem.a22:
@@ -139,7 +136,7 @@ def slip_units(problem):
 
 @inlined
 def tangential_velocity(problem, state):
-    """Return v_t; without friction it is the start's plus b P₃."""
+    """Return v_t at a state."""
     if problem.mu == 0.0:
         return problem.v1 + problem.b1 * state.p3, problem.v2 + problem.b2 * state.p3
     return state.s1 * state.speed, state.s2 * state.speed
@@ -147,21 +144,23 @@ def tangential_velocity(problem, state):
 
 @inlined
 def frictionless_course(problem):
-    """Return the `Course` where μ = 0."""
+    """Return the `Course` for μ = 0."""
     return Course(codes.IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
 
 
 @inlined
 def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
-    """Return dv₃/dP₃ along a direction of slip σ: `rate`, or by what v_t does where that is surer. (6.7)
+    """Return dv₃/dP₃ along a slip direction σ, by (6.7) if that is more accurate than `rate`.
 
     Args:
-        rate: c − μb∥, which cancels where slip creeps.
-        m0, turn: m₀ and p₀, in units of ω,
-        terms, doubt: and the sizes of the terms that they were summed from.
+        problem: The `Problem`.
+        omega: ω.
+        s1, s2: σ.
+        rate: c − μb∥, which suffers cancellation where slip creeps.
+        m0, turn: m₀ and p₀, in units of ω.
+        terms, doubt: Sizes of the terms that m₀ and p₀ are the sums of.
     """
     x1, x2, y1, y2 = problem.k1 * s1, problem.k2 * s2, problem.k2 * s1, problem.k1 * s2
-    # errors of σ are those of a unit vector
     small = omega * ((abs(x1) + abs(x2)) * terms + (abs(y1) + abs(y2)) * (abs(m0) + abs(turn) + doubt))
     if problem.s + small < problem.c + problem.mu * (abs(problem.b1) + abs(problem.b2)):
         return problem.s + omega * ((x1 + x2) * m0 + (y1 - y2) * turn)
@@ -170,9 +169,9 @@ def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
 
 @inlined
 def tied(problem, s1, s2, speed, size1, size2, v3):
-    """Return v₃ = κ·v_t + η, which ties the two where s = 0, if it is surer than `v3`, a sum over the path.
+    """Return v₃ = κ·v_t + η, which holds for s = 0, if it is more accurate than the sum over the path `v3`.
 
-    size1 and size2 are the sizes of the terms that the direction of slip was summed from.
+    `size1` and `size2` are the sizes of the terms that the slip direction (s1, s2) is the sum of.
     """
     k1, k2 = problem.k1, problem.k2
     if speed * (abs(k1) * size1 + abs(k2) * size2) + abs(problem.offset) < abs(problem.v3):
@@ -185,10 +184,16 @@ def tied(problem, s1, s2, speed, size1, size2, v3):
 @declared(Problem, Units, State, bool)
 @always_inlined_bitcode
 def slip_course(problem, units, state, fresh):
-    """Say how slip changes from here; with `fresh` p₀ is found, as at the start, and not carried along.
+    """Compute the rates of slip at a state.
 
-    Returns the `Course`, which holds if the next is True; whether slip is straight; the state with its p₀;
-    the polynomials of the present frame; b∥ and b⊥ in it.
+    Args:
+        problem, units: The `Problem` and its `Units`.
+        state: The `State`.
+        fresh: Whether p₀ is computed from the direction, as at the start, instead of taken from the state.
+
+    Returns:
+        The `Course`, valid for straight slip only; whether slip is straight; the state with its p₀; the
+        `Polynomials` in the axes (σ, σ⊥); b∥ and b⊥.
     """
     s1, s2, speed, v3, turn, p1, p2, p3 = state
     mu = problem.mu
@@ -200,7 +205,7 @@ def slip_course(problem, units, state, fresh):
     t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
     terms, turning = 1.0, turn
     if units.weak > 0:
-        # slip that turns no double has the m₀ of the invariant direction
+        # straight slip has the m₀ of the invariant direction
         if abs(turn) <= STRAIGHT * abs(t1):
             turning = doubt = 0.0
         m0, terms = along_slip(
@@ -225,7 +230,7 @@ def slip_course(problem, units, state, fresh):
         if m0 < 0.0:
             until, ends_slip = -speed / gain, True
         if t1 > 0.0 and turn != 0.0 and not unbent:
-            # leaving an unstable direction: straight until the angle is one that doubles can tell
+            # departure from an unstable direction: straight until the angle reaches `STRAIGHT`
             tau = 2.0 / t1 * math.log(2.0 * STRAIGHT * t1 / abs(turn))
             leave = speed * units.per * (math.expm1(m0 * tau) / m0 if m0 != 0.0 else tau)
             if leave < until:
@@ -237,10 +242,10 @@ def slip_course(problem, units, state, fresh):
 
 @inlined
 def resumed_direction(a11, a12, a22, b1, b2, mu):
-    """Solve (λI + μA)σ = b, |σ| = 1, for λ ≥ 0, given that stick is impossible (‖A⁺b‖ > μ). (5.2)
+    """Solve (λI + μA)σ = b, |σ| = 1, for λ ≥ 0, if ‖A⁺b‖ > μ; return λ and σ (2). (5.2)
 
-    |(λI + μA)⁻¹b| falls steadily with λ, and its inverse is concave: Newton from a lower bound climbs
-    to the root without passing it. Returns λ and the two components of σ.
+    1/|(λI + μA)⁻¹b| increases with λ and is concave, so Newton's method from a lower bound converges
+    monotonically.
     """
     if a12 == 0.0:
         cos, sin, low, high = 1.0, 0.0, mu * a11, mu * a22
@@ -271,9 +276,10 @@ def resumed_direction(a11, a12, a22, b1, b2, mu):
 @declared(Problem, State)
 @inlined_bitcode
 def leave_zero_slip(problem, state):
-    """Say what follows v_t = 0: stick, or slip that resumes along the diverging invariant direction. (5)
+    """Choose stick or resumed slip at v_t = 0. (theory.md, section 5)
 
-    Returns the `Course`, the state, and flags to be set.
+    Returns:
+        The `Course`, the state, and flags to be set.
     """
     s1, s2, _, v3, _, p1, p2, p3 = state
     k1, k2, s, mu, c, b1, b2 = (
@@ -288,7 +294,7 @@ def leave_zero_slip(problem, state):
     before1, before2 = problem.v1, problem.v2
     flags = codes.NO_FLAG
     if s > 0.0 and abs(k1 * before1) + abs(k2 * before2) + s * p3 < abs(b1 * p1) + abs(b2 * p2) + c * p3:
-        # the identity of theory.md, 6 knows v₃ better than the sum over the path
+        # v₃ = v₃° + k·(v_t − v_t°) + s P₃ is more accurate than the sum over the path
         v3 = problem.v3 - k1 * before1 - k2 * before2 + s * p3
     stick_ratio = math.sqrt(k1 * k1 + k2 * k2)
     excess = stick_ratio - mu
@@ -314,14 +320,22 @@ def leave_zero_slip(problem, state):
 
 @always_inlined
 def straight_move(problem, omega, course, state, phase, left):
-    """Go along a `Course` to its next event or its end, in closed form.
+    """Advance along a `Course` to the next event, or to its end, in closed form.
 
-    `phase` and `left` are those of the `Ledger`. Returns the `Move` and the state after it.
+    Args:
+        problem: The `Problem`.
+        omega: ω.
+        course, state: The `Course` and the `State` at its start.
+        phase: COMPRESSION or RESTITUTION.
+        left: Remainder of the goal of restitution, see `left_to_gain`.
+
+    Returns:
+        The `Move` and the state after it.
     """
     s1, s2, speed, v3, turn, p1, p2, p3 = state
     mode, rate, gain, dp1, dp2, until, ends_slip, m0, t1 = course
     span, event = first_event(phase, problem.counts, left, v3, rate)
-    # v₃ = k·v_t: on a straight line the two vanish together
+    # v₃ = k·v_t, so both vanish at once in straight slip
     together = problem.s == 0.0 and problem.offset == 0.0 and event == codes.COMPRESSION_ENDS and ends_slip
     if until < span or together:
         span, event = until, codes.NO_EVENT
@@ -351,7 +365,7 @@ def straight_move(problem, omega, course, state, phase, left):
 
 @inlined
 def mode_flag(mode, span, p3):
-    """Return the flag of the mode of a move over `span` up to `p3`, if it is more than a touch."""
+    """Return the flag of the mode of a move over `span` up to `p3`, if `span` is not negligible."""
     if p3 - span < p3:
         if mode == codes.IN_STICK:
             return codes.STICKS
@@ -362,5 +376,5 @@ def mode_flag(mode, span, p3):
 
 @inlined
 def jams(rate):
-    """Return the flag of a dv₃/dP₃ during slip."""
+    """Return `JAM` if dv₃/dP₃ < 0 during slip."""
     return codes.JAM if rate < 0.0 else codes.NO_FLAG

@@ -16,13 +16,14 @@ from .tolerances import CLOSE_TO_JUMP
 from .turning_slip import turning_move
 
 SCRATCH = 2 * TERMS + 6 + WORK_SCRATCH
-"""Floats of scratch space that an impact needs."""
+"""Length of the scratch array of an impact."""
 
 MAX_MOVES = 1000
-"""Bound on the moves of one impact; what the worst cases need is in docs/hard-cases.md."""
+"""Largest number of moves of an impact; docs/hard-cases.md gives the numbers of the worst cases."""
 
 VANISHED = 2.0**-80
-"""A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
+"""Slip speed, of velocities scaled to one, that is taken as v_t = 0; the difference is below rounding.
+(theory.md, 3.4)"""
 
 
 @declared(*11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, result=plain_tuple(Result))
@@ -30,21 +31,21 @@ VANISHED = 2.0**-80
 def solve_into(
     w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, scratch, trace, path
 ):
-    """Solve one impact.
+    """Solve an impact at one contact.
 
     Args:
-        w11 … w33: Upper triangle of W, row by row.
-        v1, v2, v3: Pre-impact velocity.
-        mu, e, law: Friction, restitution and the code of its law.
-        velocity_scale: Size of the numbers that v was formed from; 0 where it is not known.
-        factor: `FACTOR` numbers of a factor of W, or none.
-        scratch: SCRATCH floats.
-        trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
-            (m, MOVE): a row for every move, see `record_course`.
-        path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
+        w11 … w33: Upper triangle of W, row by row [1/kg].
+        v1, v2, v3: Pre-impact velocity [m/s].
+        mu, e, law: μ, e and the code of the restitution law.
+        velocity_scale: Size of the terms that v is the sum of [m/s]; 0 if unknown.
+        factor: (FACTOR,) factor of W, or (0,).
+        scratch: (SCRATCH,) scratch.
+        trace: (m, 6) is filled with rows mode, phase, P₃ at start and end, normal work, friction work; m = 0:
+            no trace. (m, MOVE) is filled with a row for each move, see `record_course`.
+        path: (m, 6) is filled with rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: no path.
 
     Returns:
-        the values of an `Result`.
+        The values of a `Result`.
     """
     factor, scratch, trace, path = borrowed(factor), borrowed(scratch), borrowed(trace), borrowed(path)
     begins, figure, flags, view, problem = prepare(
@@ -66,11 +67,15 @@ def solve_into(
 
 @always_inlined
 def _follow(problem, flags, scratch, trace, path):
-    """Follow an impact from move to move; for arguments see `prepare` and `solve_into`.
+    """Integrate an impact from move to move.
+
+    Args:
+        problem, flags: As `prepare` returns them.
+        scratch, trace, path: As for `solve_into`.
 
     Returns:
-        how it ended, with the figure of an error's message; flags; the number of moves; the state and the
-        ledger at its end; the numbers of rows and of points.
+        Status and the number for its error message; flags; number of moves; `State` and `Ledger` at the end;
+        numbers of rows and points.
     """
     units = moves.slip_units(problem)
     coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 : 2 * TERMS + 6]
@@ -80,7 +85,7 @@ def _follow(problem, flags, scratch, trace, path):
     state = moves.State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     ledger = new_ledger()
     course = moves.frictionless_course(problem)
-    settled = problem.mu == 0.0  # from here on all rates are constant
+    settled = problem.mu == 0.0  # all rates are constant from here on
     iterations, rows, points = 0, codes.NONE_YET, codes.NONE_YET
     if path.shape[0] > 0:
         points = record_point(path, points, 0.0, problem.v1, problem.v2, problem.v3, 0.0, 0.0)
@@ -119,8 +124,8 @@ def _follow(problem, flags, scratch, trace, path):
             return status, figure, flags, iterations, state, ledger, rows, points
         flags |= moves.mode_flag(course.mode, move.span, state.p3)
         if traced:
-            start, works = state.p3 - move.span, (move.work, move.friction_work)
-            rows = record_move(trace, rows, course.mode, ledger.phase, start, state.p3, *works)
+            start, work = state.p3 - move.span, (move.work, move.friction_work)
+            rows = record_move(trace, rows, course.mode, ledger.phase, start, state.p3, *work)
         if each:
             rows = record_course(trace, rows, course.mode, ledger.phase, before, state, move)
         ledger, event, new_flags = close_move(
@@ -138,11 +143,11 @@ def _follow(problem, flags, scratch, trace, path):
 
 @inlined
 def _near_jump(problem, units, state, ledger, rate, turns):
-    """Return `NEAR_JUMP` if a goal just higher would have been missed."""
+    """Return `NEAR_JUMP` if v₃ would not have reached a slightly larger goal."""
     v3, flags = state.v3, codes.NO_FLAG
     if problem.counts == codes.VELOCITY:
         v3 = ledger.goal
-        # dv₃/dP₃ is on its way to a jam
+        # dv₃/dP₃ is decreasing towards a negative value
         fall = problem.mu * (state.s1 * problem.b2 - state.s2 * problem.b1) * units.omega * state.turn
         if turns and state.speed * rate * rate < 2.0 * CLOSE_TO_JUMP * ledger.goal * fall:
             flags |= codes.NEAR_JUMP

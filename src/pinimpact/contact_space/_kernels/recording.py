@@ -1,4 +1,4 @@
-"""What is written down on request: rows of the trace, and points of the path."""
+"""Optional records of an impact: rows of the trace, and points of the path."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from ..._compile.jit import inlined
 from .slip_series import SETTLED, point
 
 TRACE_ROWS = 32
-"""Rows of a trace that hold every impact: its mode changes once or twice, its phase at most three times."""
+"""Rows that suffice for any trace: the mode changes once or twice, the phase at most three times."""
 
 MOVE = 16
-"""Columns of a trace that has a row for every move, for derivatives; see `record_course`."""
+"""Number of columns of a trace with a row for each move, for derivatives; see `record_course`."""
 
 POINTS = 64
-"""Points recorded on one series of turning slip, so that straight lines between them look smooth; four times
-as many on one around an invariant direction, which spans `SETTLED` e-folds."""
+"""Points of the path on one series of turning slip, enough for a smooth plot; four times as many on a series
+around an invariant direction, which spans `SETTLED` e-folds."""
 
 
 @inlined
 def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work):
-    """Append a move to the trace of `solve_into`, or lengthen its last row; return how many there are."""
+    """Append a move to the trace of `solve_into`, or extend its last row; return the number of rows."""
     if rows > 0 and trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase:
         trace[rows - 1, 3] = end
         trace[rows - 1, 4] += normal_work
@@ -34,13 +34,18 @@ def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work
 
 @inlined
 def record_course(trace, row, mode, phase, start, end, move):
-    """Write a move into its row of a trace with MOVE columns, and the state after it into the next.
+    """Write a move to its row of a trace with MOVE columns, and the state after it to the next row.
 
     Args:
         trace: (m, MOVE) rows mode, phase, P₃ at start and end, normal work, 0, the event that ends it;
             σ₁, σ₂, speed and p₀ at its start; length, root and rate of the `Move`; P₁, P₂ at its start.
-        row: Which row, not the last; the next one is returned.
+        row: Index of the row, not the last one.
+        mode, phase: Mode and phase of the move.
         start, end: `State` before and after it.
+        move: The `Move`.
+
+    Returns:
+        The index of the next row.
     """
     trace[row, 0], trace[row, 1] = mode, phase
     trace[row, 2], trace[row, 3] = start.p3, end.p3
@@ -61,9 +66,9 @@ def record_state(trace, row, state):
 
 @inlined
 def record_point(path, points, p3, v1, v2, v3, p1, p2):
-    """Append a point to the path, (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂, if there is room; m = 0: not wanted.
+    """Append a point to the path of `solve_into`, if it is not full; return the number of points.
 
-    A point with the P₃ of the last one takes its place, but the first point stays.
+    A point with the P₃ of the last one replaces it, unless that is the first point.
     """
     if points > 0 and path[points - 1, 0] == p3:
         if points == 1:
@@ -79,9 +84,9 @@ def record_point(path, points, p3, v1, v2, v3, p1, p2):
 
 @inlined
 def record_series(path, points, series, x, d1, d2, p1, p2, p3):
-    """Append the points of turning slip between 0 and x, both excluded.
+    """Append points of turning slip strictly between 0 and x to the path; return the number of points.
 
-    The `SlipSeries` has the first axis (d1, d2), the impulse at its start is (p1, p2, p3).
+    (d1, d2) is the first axis of the `SlipSeries`, (p1, p2, p3) the impulse at x = 0.
     """
     end, count = (min(x, SETTLED), 4 * POINTS) if series.around_invariant else (x, POINTS)
     for i in range(1, count):

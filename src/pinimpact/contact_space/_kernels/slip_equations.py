@@ -1,9 +1,9 @@
-"""Slip as a power series in the half-angle of its direction. (theory.md, section 3)
+"""Power series of slip in the half-angle of its direction. (theory.md, section 3)
 
-In the frame of the present direction of slip, t is the tangent of half the angle turned since, and
+In the axes (σ, σ⊥) of the present slip direction, t is the tangent of half the angle of slip, and
 v_t = R (1 − t², 2t). With dt/ds = p(t)/2, dR/ds = m(t) R, dP₃/ds = R (1 + t²)² and polynomials p, m of
-degrees four and three, everything is a quadrature of S = R p(0)/p(t), whose power series in
-x = 2t/p(0) obeys a recurrence of four terms.
+degrees four and three, all quantities are integrals of S = R p(0)/p(t), whose power series in x = 2t/p(0)
+satisfies a recurrence of four terms.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from ..._compile.jit import inlined
 from .delassus import EPS
 
 TERMS = 32
-"""Of a series at most; fewer are made where fewer count."""
+"""Largest number of terms of a series after the first."""
 
 VANISHING = 2.0**-57
-"""Terms of this size that follow each other end a series whose coefficients decay."""
+"""A series whose coefficients decay is truncated after consecutive terms of this relative size."""
 
 RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, 2 * TERMS)])
 
 
 class Polynomials(NamedTuple):
-    """Coefficients of p and m in the axes (σ, σ⊥); p₀ is carried elsewhere. (3.6), (3.7)"""
+    """Coefficients of p and m in the axes (σ, σ⊥), without p₀, which is `State.turn`. (3.6), (3.7)"""
 
     p1: float
     p2: float
@@ -39,15 +39,15 @@ class Polynomials(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """The constants of a series of turning slip.
+    """Constants of a series of turning slip; those with (4) are of one around an invariant direction.
 
     Attributes:
-        h: t/x, or t/y for a series around an invariant direction.
+        h: t/x, or t/y (4).
         factor, unit: Factors of speed and impulse.
-        exponent: a, where the series goes around an invariant direction. (4.2)
-        start, sign: There y at x = 0, and 1 where slip comes, −1 where it leaves: y goes like e^{−sign x}.
-        q1, q2, q3, q4: Coefficients of p̂ or π.
-        w0, w1, w2, w3: Those of the logarithmic derivative of S or G.
+        exponent: a of (4.2).
+        start, sign: y at x = 0 (4), and 1 for approach, −1 for departure: y is proportional to e^{−sign x}.
+        q1, q2, q3, q4: Coefficients of p̂, or of π (4).
+        w0, w1, w2, w3: Coefficients of w in (3.9), or of the factor of G in (4.3).
     """
 
     h: float
@@ -81,7 +81,7 @@ def in_frame(a11, a12, a22, b1, b2, s1, s2):
 
 @inlined
 def polynomials(al, ax, ap, bl, bp):
-    """Return the coefficients of (3.6), (3.7); A already times μ."""
+    """Return the coefficients of (3.6), (3.7); `al`, `ax`, `ap` are those of μA."""
     return Polynomials(
         -2.0 * (bl + ap - al),
         6.0 * ax,
@@ -96,17 +96,17 @@ def polynomials(al, ax, ap, bl, bp):
 
 @inlined
 def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt):
-    """Return m₀ = σᵀ(b − μAσ), and the size of the terms that it was summed from. (3.7), (6.4)
+    """Return m₀ = σᵀ(b − μAσ), and the size of the terms that it is the sum of. (3.7), (6.4)
 
-    Where A is weak along an axis w, as that of a nearly planar mechanism is, b∥ − A∥ cancels as slip comes to
-    creep. All terms of m₀ = (w·(b − μAσ) − p₀ w·σ⊥)/w·σ are small there.
+    Creep along a weak axis w of A, as of a nearly planar mechanism, makes b∥ − A∥ cancel; (6.4) does not.
 
     Args:
-        weak: 1 or 2: the weak axis.
+        weak: The weak axis, 1 or 2.
         a11 … b2: μA/ω and b/ω.
+        s1, s2: σ.
         al, ax, bl, bp: A∥, A×, b∥ and b⊥.
-        turn: p₀,
-        doubt: and the size of the terms that it was summed from, if it was not carried here.
+        turn: p₀.
+        doubt: Size of the terms that p₀ is the sum of; 0 if it is taken from the state.
     """
     rest, terms = b1 - (a11 * s1 + a12 * s2), abs(b1) + abs(a11 * s1) + abs(a12 * s2)
     part, turned, cross = s1, -turn * s2, s2
@@ -122,21 +122,27 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt)
 
 @inlined
 def expand(coefficients, p0, polynomials, near):
-    """Fill `coefficients` with those of S(x)/S(0), which end where terms vanish at `near`. (3.10), (3.11)
+    """Expand S(x)/S(0). (3.10), (3.11)
 
-    Returns how many there are after the first, the size of the last, and the `Shape`.
+    Args:
+        coefficients: (TERMS + 1,) is overwritten with the coefficients.
+        p0, polynomials: p₀ and the `Polynomials`.
+        near: The x at which the series is truncated as terms vanish; inf for all `TERMS`.
+
+    Returns:
+        The number of coefficients after the first, the size of the last ones, and the `Shape`.
     """
     p1, p2, p3, p4, m0, m1, m2, m3 = polynomials
     h = 0.5 * p0
     h2 = h * h
     q1, q2, q3, q4 = 0.5 * p1, 0.5 * p2 * h, 0.5 * p3 * h2, 0.5 * p4 * h2 * h
     w0, w1, w2, w3 = m0 - q1, (m1 - p2) * h, (m2 - 1.5 * p3) * h2, (m3 - 2.0 * p4) * h2 * h
-    # the factors of S_k, S_{k-1}, S_{k-2}, S_{k-3}, each falling by q with k
+    # factors of S_k, S_{k-1}, S_{k-2}, S_{k-3}, each decreasing by q with k
     c0, c1, c2, c3 = w0, w1 + q2, w2 + 2.0 * q3, w3 + 3.0 * q4
     s0, s1, s2, s3 = 1.0, 0.0, 0.0, 0.0
     coefficients[0] = 1.0
     count, last = TERMS, 0.0
-    # other roots of p are so far that the terms go on to decay once four of them have vanished
+    # other roots of p are so far that terms continue to decay after four that vanish
     far = near * (abs(q1) + near * (abs(q2) + near * (abs(q3) + near * abs(q4)))) <= 0.5
     vanishing = VANISHING if far else -1.0
     fourth, power = near * near * (near * near), 1.0
@@ -161,11 +167,11 @@ def expand(coefficients, p0, polynomials, near):
 
 @inlined
 def reach(last, shape):
-    """Return how far x may go: the last term is then below rounding, t ≤ 1, and slip comes there. (3.11)"""
+    """Return the largest x: the last term is below rounding, |t| ≤ 1, and p̂ > 0. (3.11)"""
     end = 1.0 / abs(shape.h)
     if last > 0.0:
         end = min(end, math.exp(math.log(0.5 * EPS / last) * (1.0 / TERMS)))
-    # S may have no singularity at the root of p to which slip converges, and go on beyond it
+    # S may be regular at the root of p to which slip converges, and converge beyond it
     while 1.0 + end * (shape.q1 + end * (shape.q2 + end * (shape.q3 + end * shape.q4))) <= 0.0:
         end *= 0.5
     return end

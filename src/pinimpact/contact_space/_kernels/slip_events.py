@@ -1,4 +1,4 @@
-"""Events on turning slip: where v₃, the impulse or the normal work comes to its aim. (theory.md, 3.3)"""
+"""Events of turning slip: where v₃, the impulse or the normal work reaches a value. (theory.md, 3.3)"""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from .slip_series import beginning, first_root, flow, halley, leap, point, settl
 from .slip_works import works_around, works_so_far
 
 HASTE = 60
-"""Trials after which a bracket is halved."""
+"""Number of iterations after which the bracket is bisected."""
 
 
 @always_inlined
 def measure(series, nodes, counts, aim, x):
-    """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
+    """Return a quantity minus its aim at x, its slope, and the logarithmic derivative of the slope.
+
+    Arguments as for `seek`.
+    """
     j0, j1, j2, v3 = series.j0, series.j1, series.j2, series.v3
     normal = work = 0.0
     if counts == WORK and not series.around_invariant:
@@ -42,15 +45,20 @@ def measure(series, nodes, counts, aim, x):
 
 @inlined
 def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
-    """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
+    """Find the x in (0, high] at which a monotone quantity equals `aim`, by bracketed third-order iteration.
 
-    An iteration of third order inside a bracket. f_low and f_high are the quantity less its aim at 0 and at
-    `high`, of opposite signs, or the second is zero; the rate is dv₃/dP₃ at 0.
+    Args:
+        series, nodes: The `SlipSeries`, and scratch for the work.
+        counts: The quantity: VELOCITY v₃, IMPULSE ΔP₃ or WORK.
+        aim: Its value at the root.
+        f_low, f_high: The quantity minus `aim` at 0 and at `high`; of opposite signs, or f_high = 0.
+        high: End of the bracket; may be inf.
+        rate: dv₃/dP₃ at 0.
     """
     if f_high == 0.0:
         return high
     low, top = 0.0, high
-    # with v₃ taken as linear in P₃; it may rise from zero, and the root be smaller than `high` by any factor
+    # initial guess for v₃ linear in P₃
     v3 = series.v3
     span = -f_low
     if counts == WORK:
@@ -58,7 +66,7 @@ def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
     elif counts == VELOCITY:
         span = -f_low / rate
     slope, bend = beginning(series)
-    # where slip settles, P₃ comes to grow like e^{−aL}, though it may not do so at first
+    # P₃ finally grows like e^{−aL} where slip settles, even if it does not do so at first
     settling = -series.shape.exponent if high == math.inf else -math.inf
     x = leap(-span, slope, max(bend, settling))
     if not 0.0 < x < high:
@@ -69,12 +77,12 @@ def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
         now, slope, bend = measure(series, nodes, counts, aim, x)
         if now == 0.0:
             return x
-        beyond = (now > 0.0) == (f_high > 0.0) or math.isnan(now)  # infinite less infinite
+        beyond = (now > 0.0) == (f_high > 0.0) or math.isnan(now)  # NaN from inf − inf
         if beyond:
             top = x
         else:
             low = x
-        # an exponential that falls may never come there
+        # a decaying exponential with this slope would never reach the aim
         out_of_sight = not beyond and bend * now / slope > 0.9
         step = leap(now, slope, settling if out_of_sight and settling > 0.0 else bend)
         new = x + step
@@ -92,9 +100,9 @@ def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
 
 @inlined
 def seek_near(series, nodes, counts, aim, x, near):
-    """Try to find an event by Halley's iteration from the guess x, without a bracket.
+    """Find an event by Halley's method from the guess x, without a bracket; other arguments as for `seek`.
 
-    Returns 0 where the iteration goes beyond `near`, or v₃ is not monotone up to x.
+    Return 0 if the iteration leaves (0, near], or v₃ is not monotone up to the event.
     """
     k0, k1, k2, v3, h = series.j0, series.j1, series.j2, series.v3, series.shape.h
     for _ in range(8):
@@ -107,7 +115,7 @@ def seek_near(series, nodes, counts, aim, x, near):
         if converged:
             end = h * x
             monotone = first_root(k0, k1, k2, end, end) == end
-            # where v₃ has its extremum at x = 0 only rounding tells its rate there
+            # if v₃ has an extremum at x = 0, its rate there is rounding, so it is taken in the middle
             jams = k0 + 0.5 * end * (k1 + 0.5 * end * k2) < 0.0
             falls = counts != VELOCITY and jams and v3 + point(series, x)[3] < 0.0
             return x if monotone and not falls else 0.0

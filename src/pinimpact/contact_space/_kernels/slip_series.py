@@ -1,7 +1,7 @@
-"""Turning slip as one series, on which v₃ is monotone: its state at any x.
+"""Evaluation of a series of turning slip, on which v₃ is monotone.
 
-The series is one in x = 2t/p(0) (`slip_equations`), or one around an invariant direction, with x = |L|
-from here (`invariant_direction`); here the two are one thing. (theory.md, 3.3 and 4)
+The variable is x = 2t/p(0) (`slip_equations`), or x = |L| for a series around an invariant direction
+(`invariant_direction`). (theory.md, 3.3 and 4)
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ SETTLED = 38.0
 
 
 class SlipSeries(NamedTuple):
-    """Slip that turns, from x = 0 on.
+    """Series of turning slip from x = 0 on.
 
     Attributes:
-        around_invariant: Which of the two series it is.
-        coefficients: Its coefficients, as many as count.
-        reciprocals: 1/(a + k), for a series around an invariant direction; four more.
-        shape: Its constants.
+        around_invariant: Whether it is a series around an invariant direction.
+        coefficients: (m,) coefficients of S or G.
+        reciprocals: (m + 4,) 1/(a + k), for a series around an invariant direction.
+        shape: Its `Shape`.
         scale: The speed at x = 0 over ω.
-        mu: Friction.
-        j0, j1, j2: Of dv₃/dP₃ (1 + t²) in powers of t. (3.16)
-        v3, speed: At x = 0.
+        mu: μ.
+        j0, j1, j2: Coefficients of dv₃/dP₃ (1 + t²) in powers of t. (3.16)
+        v3, speed: v₃ and |v_t| at x = 0.
     """
 
     around_invariant: bool
@@ -51,7 +51,7 @@ class SlipSeries(NamedTuple):
 
 @inlined
 def _roots(k0, k1, k2):
-    """Return the roots of k₀ + k₁t + k₂t², infinite ones for none."""
+    """Return the real roots of k₀ + k₁t + k₂t²; inf for each that does not exist."""
     square = k1 * k1 - 4.0 * k0 * k2
     if square < 0.0:
         return math.inf, math.inf
@@ -61,10 +61,9 @@ def _roots(k0, k1, k2):
 
 @inlined
 def first_root(k0, k1, k2, end, size):
-    """Return the first root of k₀ + k₁t + k₂t² strictly between 0 and `end`, or `end` itself.
+    """Return the first root of k₀ + k₁t + k₂t², an extremum of v₃, between 0 and `end`, or else `end`.
 
-    v₃ has an extremum there. One within `ROOT` times `size` of the present point changes it by less
-    than rounding.
+    Roots within `ROOT` |size| of 0 are ignored: v₃ changes by less than rounding up to there.
     """
     found, least = end, ROOT * abs(size)
     for t in _roots(k0, k1, k2):
@@ -75,9 +74,9 @@ def first_root(k0, k1, k2, end, size):
 
 @inlined
 def last_root(k0, k1, k2, start):
-    """Return the root of k₀ + k₁t + k₂t² that comes first on the way from `start` to 0, or 0.
+    """Return the first root of k₀ + k₁t + k₂t² on the way from `start` to 0, or 0 for none.
 
-    Those close to 0 have all their digits.
+    Roots close to 0 are accurate relative to their size.
     """
     found, most = 0.0, (1.0 - ROOT) * abs(start)
     for t in _roots(k0, k1, k2):
@@ -88,7 +87,10 @@ def last_root(k0, k1, k2, start):
 
 @inlined
 def halley(f, slope, bend):
-    """Return the step of Halley's iteration, or Newton's where the curvature forbids it."""
+    """Return the step of Halley's method, or of Newton's if the curvature is too large.
+
+    `bend` is the ratio of the second to the first derivative.
+    """
     step = -f / slope
     damp = 1.0 + 0.5 * bend * step
     return step / damp if damp > 0.5 else step
@@ -96,9 +98,9 @@ def halley(f, slope, bend):
 
 @inlined
 def leap(f, slope, bend):
-    """Return the step to zero for a slope that is an exponential, as around an invariant direction."""
+    """Return the step to a root of f if its slope is exponential, as around an invariant direction."""
     bent = -bend * f / slope
-    # (a slope that all but stands is a straight one: a bend of 10⁻³¹⁰ has few digits left)
+    # a denormal `bend` has few digits, so a slope that is nearly constant is taken as such
     if abs(bent) <= EPS or not -0.99 < bent < math.inf:
         return halley(f, slope, bend)
     return math.log1p(bent) / bend
@@ -106,7 +108,7 @@ def leap(f, slope, bend):
 
 @inlined
 def settled(step, x, f, slope):
-    """Whether a step of Halley's leaves rounding; next to an extremum it is short far from the root too."""
+    """Return whether a step of Halley's method has converged; next to an extremum f has to be small too."""
     return abs(step) <= HALLEY * x and abs(f) <= 2.0 * HALLEY * x * abs(slope)
 
 
@@ -117,14 +119,14 @@ def passed(exponent, start, span):
         return 0.0, start, 0.0, 1.0
     drop = -start * math.expm1(-span)
     part = -math.expm1(-exponent * span)
-    # what is left of much keeps its digits
+    # each form is accurate relative to y
     y = start - drop if drop < 0.5 * start else start * math.exp(-span)
     return y, drop, 1.0 - part if part < 0.5 else math.exp(-exponent * span), part
 
 
 @inlined
 def fill(z, k, start, span):
-    """Return startᵏ(1 − e^{−zL})/z, for z at or close to zero."""
+    """Return startᵏ(1 − e^{−zL})/z with L = `span`, accurate for z close to zero too."""
     whole = power(start, k)
     if z == 0.0:
         return whole * span
@@ -162,7 +164,7 @@ def invariant_moments(coefficients, reciprocals, exponent, start, span):
         n4 += term * fill4
         fill0, fill1, fill2, fill3 = fill1, fill2, fill3, fill4
     if exponent < 0.5:
-        # the one k at which a + k is close to zero was left out
+        # the one k with a + k close to zero has reciprocal 0 and was left out
         k = min(int(0.5 - exponent), terms + 4)
         if k > 0 and reciprocals[k] != 0.0:
             k -= 1
@@ -179,7 +181,7 @@ def invariant_moments(coefficients, reciprocals, exponent, start, span):
 
 @always_inlined
 def _bend(shape, x, t):
-    """Return the logarithmic derivative of dP₃/dx of a series in the half-angle, and p̂."""
+    """Return (ln dP₃/dx)′ of a series in the half-angle, and p̂. (3.13)"""
     fall = 1.0 + x * (shape.q1 + x * (shape.q2 + x * (shape.q3 + x * shape.q4)))
     growth = shape.w0 + x * (shape.w1 + x * (shape.w2 + x * shape.w3))
     return growth / fall + 4.0 * shape.h * t / (1.0 + t * t), fall
@@ -187,7 +189,7 @@ def _bend(shape, x, t):
 
 @always_inlined
 def flow(series, x, value):
-    """Return dP₃/dx at x, where S is `value`, its logarithmic derivative and t; in the half-angle."""
+    """Return dP₃/dx at x, where S is `value`, (ln dP₃/dx)′ and t, for a series in the half-angle."""
     shape = series.shape
     t = shape.h * x
     chord = 1.0 + t * t
@@ -224,7 +226,7 @@ def point(series, x):
 
 @inlined
 def beginning(series):
-    """Return dP₃/dx and its logarithmic derivative at x = 0."""
+    """Return dP₃/dx and (ln dP₃/dx)′ at x = 0."""
     h, factor, unit, exponent, start, sign, q1, q2, q3, w0, w1, w2, _, _ = series.shape
     slope = unit * series.scale
     if not series.around_invariant:

@@ -1,7 +1,4 @@
-"""One step of slip in normal impulse, and where within it the first event is. (the paper's scheme)
-
-Slip is the differential equation dP_t/dP₃ = −μ v_t/|v_t| with v = v⁻ + W P.
-"""
+"""Steps of dP_t/dP₃ = −μ v_t/|v_t|, v = v⁻ + W P, and the first event within a step; the paper's scheme."""
 
 from __future__ import annotations
 
@@ -21,30 +18,30 @@ from .stiff_step import settling, stiff_step
 from .tolerances import ROOM
 
 TURNED = 64.0 * EPS
-"""Angle between two steps that is more than rounding."""
+"""Angle [rad] of slip in a step that is more than rounding."""
 
 STIFF = 2.0
-"""A step of chosen length is stiff if the direction of slip settles within it more often than this; explicit
-steps bear little more than three times."""
+"""Step size times the rate at which the slip direction settles, above which adaptive steps are implicit;
+explicit ones are unstable somewhat above 3."""
 
 SLIP_ENDS, V3_ZERO, GOAL = 0, 1, 2
-"""What a step is bisected for."""
+"""Events for which a step is bisected."""
 
 
 class Stepping(NamedTuple):
-    """How an impact is stepped.
+    """Parameters of the steps of an impact.
 
     Attributes:
         table: The Runge–Kutta method.
         tangent: A₁₁, A₁₂, A₂₂, b₁, b₂.
         c: W₃₃.
-        mu: Friction.
+        mu: μ.
         flat: Whether A is singular.
         lasting: Whether slip never ends.
-        counts: What the law counts.
-        rtol: See `solve_stepping`.
-        scale: That of P₃.
-        negligible: An impulse that ends slip, over that of friction, so small that slip is at its end.
+        counts: The quantity of the restitution law.
+        rtol: Relative tolerance of adaptive steps; 0 for fixed ones.
+        scale: Scale of P₃.
+        negligible: Slip ends if the tangential impulse that stops it is below this fraction of μ P₃.
         k: (m, 4) scratch for the stages.
     """
 
@@ -62,13 +59,13 @@ class Stepping(NamedTuple):
 
 
 class At(NamedTuple):
-    """Where an impact stands before a step.
+    """State of an impact before a step.
 
     Attributes:
         v1, v2, v3, speed: Velocity, and |v_t|.
         p1, p2, p3: Impulse so far.
         phase: COMPRESSION or RESTITUTION.
-        left: What the law has still to count.
+        left: Remainder of the goal of restitution.
     """
 
     v1: float
@@ -90,8 +87,7 @@ class Step(NamedTuple):
         q1, q2: ∫ΔP_t dP₃ over it.
         u1, u2: v_t at its end.
         error: Estimate of the error of ΔP_t.
-        least: The least v·v_t/|v_t|² of the stages and the end: not positive where slip came to its end or
-            turned back.
+        least: The least v·v_t/|v_t|² of the stages and the end; ≤ 0 if slip ended or reversed.
     """
 
     d1: float
@@ -106,10 +102,18 @@ class Step(NamedTuple):
 
 @inlined
 def slip_step(table, tangent, mu, v1, v2, h, k):
-    """Take one step of slip from v_t over h.
+    """Take one explicit step of slip.
 
-    `tangent` is A₁₁, A₁₂, A₂₂, b₁, b₂, v_t = (v1, v2) the velocity at the start, h the increment of P₃, k (m,
-    4) scratch for the stages of the method. Returns the numbers of a `Step`.
+    Args:
+        table: The Runge–Kutta method.
+        tangent: A₁₁, A₁₂, A₂₂, b₁, b₂.
+        mu: μ.
+        v1, v2: v_t at the start.
+        h: Increment of P₃.
+        k: (m, 4) scratch for the stages.
+
+    Returns:
+        The values of a `Step`.
     """
     a11, a12, a22, b1, b2 = tangent
     square = v1 * v1 + v2 * v2
@@ -142,7 +146,7 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
 
 @inlined
 def stop_impulse(flat, a11, a12, a22, v1, v2):
-    """Return −A⁺v_t, the tangential impulse that ends slip; `flat` says that A is singular."""
+    """Return −A⁺v_t, the tangential impulse that ends slip; `flat`: whether A is singular."""
     det, trace = a11 * a22 - a12 * a12, a11 + a22
     if det > 0.0 and not flat:
         return (a12 * v2 - a22 * v1) / det, (a12 * v1 - a11 * v2) / det
@@ -153,7 +157,7 @@ def stop_impulse(flat, a11, a12, a22, v1, v2):
 
 @inlined
 def trial_step(stepping, stiff, at, h):
-    """Return a step from where the impact stands, by `stiff_step` or by the table."""
+    """Return the `Step` over h from `at`, by `stiff_step` if `stiff`, else by the table."""
     table, tangent, mu, k = stepping.table, stepping.tangent, stepping.mu, stepping.k
     if stiff:
         return Step(*stiff_step(tangent, mu, at.v1, at.v2, h, k))
@@ -169,12 +173,12 @@ def gains(stepping, at, h, step):
 
 
 @inlined
-def shorter(stepping, at, stride):
-    """Return the step near v_t = 0 of a method that shortens them there.
+def graded(stepping, at, stride):
+    """Return the step size of a fixed-step method, graded towards v_t = 0.
 
-    With ρ about the impulse that is left to v_t = 0, steps like ρ^{1 − 1/m} are not many more than before,
-    and their errors (h/ρ)⁵ρ sum up to N⁻⁴ for m = 5. None is longer than 2ρ, so that the direction settles
-    and does not swing.
+    With ρ the approximate impulse up to v_t = 0, steps proportional to ρ^{1 − 1/m} increase the number N of
+    steps only little, and their errors (h/ρ)⁵ρ sum to N⁻⁴ for m = 5. Steps ≤ 2ρ keep the direction from
+    oscillating.
     """
     a11, a12, a22, b1, b2 = stepping.tangent
     mu, scale, grading, v1, v2 = stepping.mu, stepping.scale, stepping.table.grading, at.v1, at.v2
@@ -187,7 +191,7 @@ def shorter(stepping, at, stride):
 
 @inlined
 def before_event(stepping, sought, stiff, at, h):
-    """Measure how far the end of a step over h lies before an event: positive before it."""
+    """Return the guard of the event `sought` at the end of a step over h; positive before the event."""
     if sought == GOAL and stepping.counts == codes.IMPULSE:
         return at.left - h
     step = trial_step(stepping, stiff, at, h)
@@ -201,7 +205,7 @@ def before_event(stepping, sought, stiff, at, h):
 
 @inlined
 def locate(stepping, sought, stiff, at, h):
-    """Bisect a step that crosses an event, with secants in between, and return its length to the event."""
+    """Return the step size up to the event `sought` within a step over h, by secants and bisection."""
     low, high = 0.0, h
     at_low = before_event(stepping, sought, stiff, at, low)
     at_high = before_event(stepping, sought, stiff, at, high)
@@ -211,7 +215,7 @@ def locate(stepping, sought, stiff, at, h):
         middle = 0.5 * (low + high)
         if i % 3 < 2 and at_low > 0.0:
             middle = low + (high - low) * at_low / (at_low - at_high)
-            # a secant that ends beside the bracket's end steps in by a rounding, so that both ends move
+            # at least one rounding error inside the bracket, so that both ends move
             middle = min(max(middle, low + EPS * high), high - EPS * high)
         value = before_event(stepping, sought, stiff, at, middle)
         if value > 0.0:
@@ -223,15 +227,17 @@ def locate(stepping, sought, stiff, at, h):
 
 @always_inlined
 def choose_step(stepping, at, stride):
-    """Try a step of slip.
+    """Try a step of slip of size `stride`.
 
-    Returns whether it is taken; the next length; whether it is stiff, and ends slip; its length; the `Step`.
+    Returns:
+        Whether it is accepted; the next `stride`; whether it is implicit; whether it ends slip; its size; the
+        `Step`.
     """
     rtol, mu, scale, lasting = stepping.rtol, stepping.mu, stepping.scale, stepping.lasting
     a11, a12, a22, _, _ = stepping.tangent
     h = stride
     if stepping.table.grading > 0.0:
-        h = shorter(stepping, at, stride)
+        h = graded(stepping, at, stride)
     stiff = rtol > 0.0 and h * settling(stepping.tangent, mu, at.v1, at.v2) > STIFF
     x1, x2 = stop_impulse(stepping.flat, a11, a12, a22, at.v1, at.v2)
     vanishes = not lasting and math.hypot(x1, x2) <= stepping.negligible * mu * max(at.p3, scale)
@@ -241,7 +247,7 @@ def choose_step(stepping, at, stride):
     ends = step.least <= 0.0 and not lasting and not vanishes
     if rtol > 0.0 and not vanishes:
         tolerance = rtol * mu * max(at.p3 + h, scale)
-        # a stiff step takes the direction as settled around that of its start
+        # the Jacobian of an implicit step holds only near the slip direction of its start
         if ends or (stiff and norm(step.u1 - at.v1, step.u2 - at.v2) > norm(at.v1, at.v2)):
             return False, 0.5 * stride, stiff, vanishes, h, step
         stride *= min(5.0, max(0.2, 0.9 * (tolerance / step.error) ** 0.2)) if step.error > 0.0 else 5.0
@@ -255,9 +261,9 @@ def choose_step(stepping, at, stride):
 
 @always_inlined
 def first_event(stepping, at, stiff, tied, h, step):
-    """Return the first event on a step of length h, its length up to there, and the step.
+    """Return the first event of a step of size h, the step size up to there, and the `Step`.
 
-    It is `tied` if v₃ comes to zero with slip, and is not told before it by rounding.
+    With `tied`, v₃ vanishes at the end of slip exactly, and an earlier zero is rounding.
     """
     event, counts = codes.NO_EVENT, stepping.counts
     for sought in (V3_ZERO, GOAL):  # each search starts from the event found before
@@ -281,9 +287,15 @@ def first_event(stepping, at, stiff, tied, h, step):
 
 @always_inlined
 def slip_move(stepping, problem, at, rate, stride):
-    """Take a step of slip, up to the first event on it, from where dv₃/dP₃ is the rate.
+    """Take a step of slip up to the first event on it.
 
-    Returns whether it was taken; the length of the next one; the `Move`; where the impact then stands; flags.
+    Args:
+        stepping, problem, at: The `Stepping`, the `Problem`, and the state `At` its start.
+        rate: dv₃/dP₃ there.
+        stride: Step size that is tried.
+
+    Returns:
+        Whether the step was accepted; the next `stride`; the `Move`; the state `At` its end; flags.
     """
     a11, a12, a22, b1, b2 = stepping.tangent
     rtol, mu = stepping.rtol, stepping.mu
@@ -300,8 +312,8 @@ def slip_move(stepping, problem, at, rate, stride):
     if event in (codes.COMPRESSION_ENDS, codes.COMPRESSION_RESUMES):
         v3_end = 0.0
     x1, x2 = stop_impulse(stepping.flat, a11, a12, a22, u1, u2)
-    # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on; if that is more than the cone
-    # of friction has room for, slip is not at its end
+    # an impulse stops the remaining v_t, so that v = v⁻ + W P still holds; unless the cone allows it,
+    # slip has not ended
     room = mu * (at.p3 + h) * ROOM
     if vanishes and (h == 0.0 or math.hypot(at.p1 + d1 + x1, at.p2 + d2 + x2) <= room):
         friction_work += 0.5 * (x1 * u1 + x2 * u2)
@@ -312,7 +324,7 @@ def slip_move(stepping, problem, at, rate, stride):
             event = codes.COMPRESSION_ENDS
         elif at.phase == codes.RESTITUTION and v3_end < 0.0:
             event = codes.COMPRESSION_RESUMES
-    # as far as the error of P_t so far lets the direction be known, which is lost as slip dies
+    # the error of P_t makes the slip direction uncertain as slip vanishes
     doubt, push = rtol * mu * (at.p3 + h), norm(b1, b2)
     flags = jams(rate + min(1.0, doubt * (a11 + a22) / at.speed) * mu * push)
     if rtol > 0.0:

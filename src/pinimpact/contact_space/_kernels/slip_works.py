@@ -1,4 +1,4 @@
-"""The works of turning slip, by Gauss' collocation. (theory.md, 3.5 and 4)"""
+"""Normal and frictional work of turning slip, by Gauss collocation. (theory.md, 3.5 and 4)"""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .sensitivities import four, keep, scaled
 from .slip_series import SETTLED, point
 
 NODES = 12
-"""Of Gauss' rule, which is right to rounding as far as any series in the half-angle goes."""
+"""Number of nodes of the Gauss rule; its error is below rounding for any series in the half-angle."""
 
 
 def _collocation() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes θ of Gauss' rule on (0, 1), its weights g, and a_ij/g_j, transposed. (3.17)"""
+    """Return the nodes θ and weights g of the Gauss rule on (0, 1), and a_ij/g_j, transposed. (3.17)"""
     x, w = np.polynomial.legendre.leggauss(NODES)
     values = np.polynomial.legendre.legvander(x, NODES)
     rising = np.empty((NODES, NODES))  # ∫ of each Legendre polynomial up to each node
@@ -30,16 +30,16 @@ ABSCISSAE, WEIGHTS, INTEGRALS = _collocation()
 
 
 AT0, AT4, AT8 = np.int64(0), np.int64(4), np.int64(8)
-"""Where the nodes stand, four at a time; no literals: see `codes`."""
+"""Indices of the groups of four nodes that are evaluated together; not literals, see `codes`."""
 
 WORK_SCRATCH = 5 * NODES
-"""Floats of scratch space that works need, `nodes`: rows of what there is at the NODES. They are dP₃/dx and
-dv₃/dx over the series' unit, times the weights; S (1 + t²); the terms of the last sum; x or y."""
+"""Length of the scratch array `nodes`. Its five rows hold, at the nodes, dP₃/dx and dv₃/dx over the unit of
+the series, times the weights; S (1 + t²); the terms of the last sum; x or y."""
 
 
 @always_inlined
 def _summed(values, row):
-    """Return the sum of a row of `nodes`."""
+    """Return the sum of a row of WORK_SCRATCH."""
     s0 = s1 = s2 = s3 = 0.0
     for i in range(row * NODES, (row + 1) * NODES, 4):
         s0, s1, s2, s3 = s0 + values[i], s1 + values[i + 1], s2 + values[i + 2], s3 + values[i + 3]
@@ -48,10 +48,14 @@ def _summed(values, row):
 
 @always_inlined
 def _collocated(values, v3, size):
-    """Return the normal work and what v₃ grows by. (3.17)
+    """Return the normal work and Δv₃. (3.17)
 
-    Four nodes at a time: their sums hide each other's latency, and share instructions. v₃ is that at the
-    start, the size the length over the series' unit; for values see WORK_SCRATCH.
+    Four nodes at a time, for vector instructions and to hide their latency.
+
+    Args:
+        values: Scratch of WORK_SCRATCH.
+        v3: v₃ at the start.
+        size: Length of the interval times the unit of the series.
     """
     for i in range(0, NODES, 4):
         s0 = s1 = s2 = s3 = 0.0
@@ -83,8 +87,8 @@ def raised(s, y, c):
 
 
 @always_inlined
-def _kept(values, i, x, s, u, h, j0, j1, j2):
-    """Keep what WORK_SCRATCH tells of four nodes, with S = s + x u there."""
+def _fill_nodes(values, i, x, s, u, h, j0, j1, j2):
+    """Fill WORK_SCRATCH at four nodes from i on, with S = s + x u; h, j as for `_along_half_angle`."""
     t = h * x[0], h * x[1], h * x[2], h * x[3]
     chord = raised(t, t, 1.0)
     even = product(x, u)
@@ -99,9 +103,15 @@ def _kept(values, i, x, s, u, h, j0, j1, j2):
 
 @inlined
 def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
-    """Do what `works_so_far` does, with h of the series' `Shape`, j of dv₃/dP₃ (1 + t²) in powers of t.
+    """Return the result of `works_so_far`.
 
-    v₃ is that at the start, the unit that of P₃; for values see WORK_SCRATCH.
+    Args:
+        coefficients, h: Of the series, and of its `Shape`.
+        j0, j1, j2: Coefficients of (3.16).
+        v3: v₃ at the start.
+        unit: Unit of P₃.
+        values: Scratch of WORK_SCRATCH.
+        x: End of the interval.
     """
     k = len(coefficients) - 1  # even
     z, first = x * x, coefficients[k]
@@ -116,28 +126,28 @@ def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
         s0, s4, s8 = raised(s0, y0, even), raised(s4, y4, even), raised(s8, y8, even)
         u0, u4, u8 = raised(u0, y0, odd), raised(u4, y4, odd), raised(u8, y8, odd)
         here, odd_here = here * z + even, odd_here * z + odd
-    _kept(values, AT0, at0, s0, u0, h, j0, j1, j2)
-    _kept(values, AT4, at4, s4, u4, h, j0, j1, j2)
-    _kept(values, AT8, at8, s8, u8, h, j0, j1, j2)
+    _fill_nodes(values, AT0, at0, s0, u0, h, j0, j1, j2)
+    _fill_nodes(values, AT4, at4, s4, u4, h, j0, j1, j2)
+    _fill_nodes(values, AT8, at8, s8, u8, h, j0, j1, j2)
     work, change = _collocated(values, v3, unit * x)
     return work, change, here + x * odd_here
 
 
 @always_inlined
-def _rubbed(shape, values):
-    """Return ∫ R dP₃ over the units of both, R at the start, and x, from what `_kept` has left."""
+def _slip_path(shape, values):
+    """Return ∫ |v_t| dP₃ over the units of both and x, from the rows that `_fill_nodes` has filled."""
     q1, q2, q3, q4 = shape.q1, shape.q2, shape.q3, shape.q4
     for i in range(0, NODES, 4):
         at = four(values, 4 * NODES + i)
         fall = raised(raised(raised(raised((q4, q4, q4, q4), at, q3), at, q2), at, q1), at, 1.0)
-        rubs = product(four(values, i), four(values, 2 * NODES + i))
-        keep(values, 3 * NODES + i, product(rubs, fall))
+        integrand = product(four(values, i), four(values, 2 * NODES + i))
+        keep(values, 3 * NODES + i, product(integrand, fall))
     return _summed(values, 3)
 
 
 @always_inlined
 def works_so_far(series, nodes, x):
-    """Return the normal work over (0, x) of a series in the half-angle, what v₃ grows by, and S. (3.17)"""
+    """Return the normal work over (0, x) of a series in the half-angle, Δv₃, and S(x). (3.17)"""
     shape = series.shape
     return _along_half_angle(
         *(series.coefficients, shape.h),
@@ -148,18 +158,18 @@ def works_so_far(series, nodes, x):
 
 @always_inlined
 def works(series, nodes, x):
-    """Return the works of the normal impulse and of friction over (0, x)."""
+    """Return the work of the normal impulse and of friction over (0, x)."""
     if series.around_invariant:
         return works_around(series, nodes, x)
     shape = series.shape
     work, _, _ = works_so_far(series, nodes, x)
-    rubbed = x * _rubbed(shape, nodes)
-    return work, -series.mu * series.speed * shape.factor * shape.unit * series.scale * rubbed
+    slip_path = x * _slip_path(shape, nodes)
+    return work, -series.mu * series.speed * shape.factor * shape.unit * series.scale * slip_path
 
 
 @always_inlined
 def _decayed(length, rate, first):
-    """Return e^{−rate·length} for four lengths, times a first value."""
+    """Return first · e^{−rate·length} for four lengths."""
     return (
         first * math.exp(-rate * length[0]),
         first * math.exp(-rate * length[1]),
@@ -170,15 +180,15 @@ def _decayed(length, rate, first):
 
 @inlined
 def works_around(series, nodes, x):
-    """Do what `works` does, for a series around an invariant direction, in parts of L. (4.7)"""
+    """Return the result of `works` for a series around an invariant direction, by intervals of L. (4.7)"""
     shape, coefficients, mu = series.shape, series.coefficients, series.mu
     h, exponent, start, sign = shape.h, shape.exponent, shape.start, shape.sign
     v3, last = series.v3, coefficients[len(coefficients) - 1]
     normal = friction = low = 0.0
-    # from here on the direction is settled or nothing is left: the rest is straight
+    # beyond this L slip is straight, or its speed negligible
     end = min(x, SETTLED / max(1.0, exponent))
     while low < end:
-        # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
+        # the integrand is analytic down to L ≈ −1 and proportional to e^{−2aL}
         width = min(end - low, 1.25 * (low + 1.0))
         if width * abs(exponent) > 3.5:
             width = 3.5 / abs(exponent)
@@ -190,12 +200,12 @@ def works_around(series, nodes, x):
             for k in range(len(coefficients) - 2, -1, -1):
                 value = raised(value, y, coefficients[k])
             value = product(value, _decayed(length, exponent, 1.0))
-            _kept(nodes, i, y, value, (0.0, 0.0, 0.0, 0.0), h, series.j0, series.j1, series.j2)
+            _fill_nodes(nodes, i, y, value, (0.0, 0.0, 0.0, 0.0), h, series.j0, series.j1, series.j2)
         size = sign * shape.unit * series.scale * width
         work, change = _collocated(nodes, v3, size)
         normal += work
         v3 += change
-        friction -= mu * series.speed * shape.factor * size * _rubbed(shape, nodes)
+        friction -= mu * series.speed * shape.factor * size * _slip_path(shape, nodes)
         low = low + width if low + width > low else end
     if end < x:
         here, there = point(series, end), point(series, x)

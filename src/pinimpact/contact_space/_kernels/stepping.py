@@ -1,7 +1,6 @@
-"""Stepping in normal impulse: the paper's Euler scheme, and Runge–Kutta methods in its place.
+"""Time stepping in the normal impulse: the Euler scheme of the paper, and Runge–Kutta methods.
 
-What follows the instant of
-v_t = 0 has constant rates, so no method has anything to discretise there: one step takes it.
+After v_t = 0 all rates are constant, so the rest of a phase is one exact step.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from .stiff_step import STAGES
 from .tolerances import CLOSE_TO_JUMP
 
 MAX_SCALES = 1000
-"""An impact that slips for more than this many times the scale of its steps is given up."""
+"""Largest P₃ of an impact with fixed steps, over the scale of P₃."""
 
 MAX_CHOSEN = 100_000
-"""So is one that takes more than this many steps of chosen length."""
+"""Largest number of adaptive steps."""
 
 
 @jit
@@ -32,18 +31,18 @@ def solve_stepping(
     w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, table, steps, rtol, trace,
     path,
 ):  # fmt: skip
-    """Solve one impact by steps in P₃.
+    """Solve an impact at one contact by steps in P₃.
 
-    Beside the numbers of the problem, as `solve_into` has them, it takes:
+    Args:
+        w11 … factor: As for `path.solve_into`.
         table: The Runge–Kutta method.
-        steps: Steps over the scale |v₃ᵒ|/c, or where that is zero over the impulse that would end slip.
-        rtol: 0 for steps of that length; else they are chosen so that the error of P_t in one step stays
-            within rtol·μ·P₃, and slip ends where an impulse of that size would end it.
-        trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
-        path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
+        steps: Number of steps over the scale of P₃: |v₃°|/c, or if that is zero the impulse that ends slip.
+        rtol: 0 for steps of this size. Otherwise steps are adaptive, with a tolerance rtol μ P₃ of P_t, and
+            slip ends where an impulse of that size would end it.
+        trace, path: As for `path.solve_into`, without rows of MOVE columns.
 
     Returns:
-        the values of an `Result`; its path has one point for each step and one more, as far as there is room.
+        The values of a `Result`; the path has one point more than there are steps, or is full.
     """
     begins, figure, flags, view, problem = prepare(
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
@@ -63,7 +62,7 @@ def solve_stepping(
 
 @always_inlined
 def _stepping_of(problem, table, rtol):
-    """Return the `Stepping` of an impact."""
+    """Return the `Stepping` of an impact; arguments as for `solve_stepping`."""
     a11, a12, a22, b1, b2, c = problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, problem.c
     mu, v1, v2, v3, speed = problem.mu, problem.v1, problem.v2, problem.v3, problem.speed
     scale = -v3 / c
@@ -82,11 +81,15 @@ def _stepping_of(problem, table, rtol):
 
 @always_inlined
 def _follow(problem, flags, table, steps, rtol, trace, path):
-    """Follow an impact from step to step; for arguments see `prepare` and `solve_stepping`.
+    """Integrate an impact step by step.
+
+    Args:
+        problem, flags: As `prepare` returns them.
+        table, steps, rtol, trace, path: As for `solve_stepping`.
 
     Returns:
-        how it ended, with the figure of an error's message; flags; the number of steps; where it stands and
-        the ledger at its end; the numbers of rows and of points.
+        Status and the number for its error message; flags; number of steps; `At` and `Ledger` at the end;
+        numbers of rows and points.
     """
     stepping = _stepping_of(problem, table, rtol)
     stride = stepping.scale / steps
@@ -95,7 +98,7 @@ def _follow(problem, flags, table, steps, rtol, trace, path):
     mode, rate = codes.IN_SLIP, problem.c - problem.mu * (problem.b1 * problem.s1 + problem.b2 * problem.s2)
     state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     at = At(problem.v1, problem.v2, problem.v3, problem.speed, 0.0, 0.0, 0.0, ledger.phase, 0.0)
-    settled = problem.mu == 0.0  # from here on all rates are constant
+    settled = problem.mu == 0.0  # all rates are constant from here on
     rows, iterations = codes.NONE_YET, 0
     points = record_point(path, codes.NONE_YET, at.p3, at.v1, at.v2, at.v3, at.p1, at.p2)
     while True:

@@ -1,13 +1,12 @@
-"""A step of slip that does not care how fast its direction settles: the Rosenbrock method RODAS.
+"""Implicit steps of slip whose direction settles fast: the Rosenbrock method RODAS.
 
-Slip that creeps, or whose direction follows another motion, settles within an impulse of |v_t|/μA⊥, and the
-steps of an explicit method cannot be much longer. Here each stage solves with the derivative of dP_t/dP₃ by
-P_t,
+The slip direction settles within an impulse of |v_t|/μA⊥, and explicit steps cannot be much longer. Each
+stage solves a linear system with the Jacobian of dP_t/dP₃,
 
     −κ σ⊥ (Aσ⊥)ᵀ,   κ = μ/|v_t|,
 
-which has rank one, so that the solution is closed. Coefficients: Hairer and Wanner, Solving Ordinary
-Differential Equations II (1996), section IV.7: order 4, with an estimate of order 3, L-stable.
+in closed form, since it has rank one. Coefficients: Hairer and Wanner, Solving Ordinary Differential
+Equations II (1996), section IV.7: order 4 with an error estimate of order 3, L-stable.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _A[2, :2] = 0.9466785280815826, 0.2557011698983284
 _A[3, :3] = 3.314825187068521, 2.896124015972201, 0.9986419139977817
 _A[4, :4] = 1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950
 _A[5] = _A[4] + [0, 0, 0, 0, 1, 0]
-_A[6] = _A[5] + [0, 0, 0, 0, 0, 1]  # the end of the step, whose last term is the estimate of its error
+_A[6] = _A[5] + [0, 0, 0, 0, 0, 1]  # the end of the step; its last term is the error estimate
 _C = np.zeros((STAGES, STAGES))
 _C[1, :1] = -5.6688
 _C[2, :2] = -2.430093356833875, -0.2063599157091915
@@ -40,7 +39,7 @@ _DRIFT = np.array([0.25, -0.1043, 0.1035, -0.03620000000000023, 0.0, 0.0])
 
 @inlined
 def settling(tangent, mu, v1, v2):
-    """Return κ A⊥, the rate per P₃ at which the direction of slip settles."""
+    """Return κ A⊥, the rate per P₃ at which the slip direction settles."""
     a11, a12, a22, _, _ = tangent
     square = v1 * v1 + v2 * v2
     return mu * (a11 * v2 * v2 - 2.0 * a12 * v1 * v2 + a22 * v1 * v1) / (square * math.sqrt(square))
@@ -48,7 +47,7 @@ def settling(tangent, mu, v1, v2):
 
 @inlined
 def stiff_step(tangent, mu, v1, v2, h, k):
-    """Take one step of slip from v_t over h, as `slip_steps.slip_step` does; k is (STAGES, 4) scratch."""
+    """Take one step of slip; arguments and result as for `slip_steps.slip_step`, with k (STAGES, 4)."""
     a11, a12, a22, b1, b2 = tangent
     speed = math.hypot(v1, v2)
     n1, n2 = -v2 / speed, v1 / speed

@@ -1,4 +1,4 @@
-"""Loops that call a kernel many times, so that its own time can be measured from outside."""
+"""Loops over a kernel call, to measure its run time without the overhead of a call from Python."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .stepping import solve_stepping
 
 @jit
 def repeat_exact(count, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
-    """Solve one problem `count` times by "exact"; each waits for the one before."""
+    """Solve one problem `count` times by "exact", each call dependent on the previous one."""
     scratch, empty, none = np.empty(SCRATCH), np.empty((0, 6)), np.empty(0)
     last = 0.0
     for _ in range(count):
@@ -24,7 +24,7 @@ def repeat_exact(count, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
 
 @jit
 def repeat_stepping(count, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, steps, rtol):
-    """Solve one problem `count` times by steps in P₃; each waits for the one before."""
+    """Solve one problem `count` times by steps in P₃, each call dependent on the previous one."""
     empty, none = np.empty((0, 6)), np.empty(0)
     last = 0.0
     for _ in range(count):

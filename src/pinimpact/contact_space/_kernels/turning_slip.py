@@ -1,4 +1,4 @@
-"""Slip that turns: to its next event, or as far as one series carries. (theory.md, 3.3 and 4)"""
+"""Moves of turning slip: along one power series, up to the next event. (theory.md, 3.3 and 4)"""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from .slip_works import works
 from .tolerances import CLOSE_TO_JUMP
 
 BEYOND_GUESS = 1.0625
-"""How far a series is made for an event, over the guess of where it lies, mostly right to a percent."""
+"""Length up to which a series is computed for an event, over the estimated place of the event, which is
+mostly accurate to a percent."""
 
 FURTHEST = 100.0
-"""Growth of slip, as an exponent, up to which one series follows it as it leaves an invariant direction."""
+"""Largest ln of the growth of slip on one series that departs from an invariant direction."""
 
 
 @declared(
@@ -34,21 +35,21 @@ def turning_move(
     coefficients, reciprocals, nodes, problem, units, state, polynomials, bl, bp, rate, phase, goal,
     left, traced, path, points,
 ):  # fmt: skip
-    """Follow slip that turns along one series, on which v₃ is monotone.
+    """Advance turning slip along one series, on which v₃ is monotone.
 
     Args:
-        coefficients, reciprocals, nodes: Scratch for the coefficients of the series, for 1/(a + k), and
-            for the works.
-        problem, units, state: The impact, and where it stands.
-        polynomials, bl, bp, rate: The slip equations, b∥, b⊥ and dv₃/dP₃ in the present frame.
-        phase, goal, left: Of the restitution, from the `Ledger`.
-        traced: Whether the works of the move are written down.
-        path, points: Where points are recorded, and how many there are.
+        coefficients, reciprocals, nodes: (TERMS + 1,), (TERMS + 5,), (WORK_SCRATCH,) scratch.
+        problem, units, state: The `Problem`, its `Units`, and the `State` at the start.
+        polynomials, bl, bp, rate: The `Polynomials`, b∥, b⊥ and dv₃/dP₃ in the axes (σ, σ⊥).
+        phase, goal: Of the `Ledger`.
+        left: Remainder of the goal, see `left_to_gain`.
+        traced: Whether the work of the move is needed.
+        path, points: As for `solve_into`, and the number of points so far.
 
     Returns:
-        the `Move`, the state after it, flags to be set, and the points recorded.
+        The `Move`, the state after it, flags to be set, and the number of points.
     """
-    restoring, flags, work, rubbed = phase == codes.RESTITUTION, codes.NO_FLAG, 0.0, 0.0
+    restoring, flags, work, friction_work = phase == codes.RESTITUTION, codes.NO_FLAG, 0.0, 0.0
     lift = rate, -2.0 * problem.mu * bp, problem.c + problem.mu * bl  # (3.16)
     scale = state.speed * units.per
     event, x, last, whole, series = _near_event(
@@ -69,11 +70,11 @@ def turning_move(
     if event != codes.NO_EVENT:
         end = _end_at(series, x)
     if traced or (problem.counts == codes.WORK and not restoring):
-        work, rubbed = works(series, nodes, x)
+        work, friction_work = works(series, nodes, x)
     if path.shape[0] > 0:
         points = record_series(path, points, series, x, axes[0], axes[1], state.p1, state.p2, state.p3)
     state, rate, new_flags = _state_after(problem, state, series, axes, event, x, end)
-    move = Move(event, end[0], work, rubbed, rate, series.shape.sign * x, axes[3])
+    move = Move(event, end[0], work, friction_work, rate, series.shape.sign * x, axes[3])
     return move, state, flags | new_flags, points
 
 
@@ -81,22 +82,23 @@ def turning_move(
 def _near_event(
     coefficients, reciprocals, nodes, problem, state, polynomials, scale, lift, rate, restoring, goal, left
 ):
-    """Try for the next event, which most often is near.
+    """Look for the next event on a short series, since it is near in most cases.
 
     Args:
-        coefficients, reciprocals, nodes, problem, state, polynomials, rate, goal, left: See `turning_move`.
-        scale: The speed over ω.
-        lift: Of dv₃/dP₃ (1 + t²) in powers of t. (3.16)
-        restoring: Whether it is restitution.
+        coefficients, reciprocals, nodes, problem, state, polynomials, rate, goal, left: As for
+            `turning_move`.
+        scale: The slip speed over ω.
+        lift: j₀, j₁, j₂ of (3.16).
+        restoring: Whether the phase is restitution.
 
     Returns:
-        the event and where it is on the series; the last coefficient; whether the series has all its terms;
-        and the `SlipSeries`.
+        The event, or NO_EVENT, and its x on the series; the size of the last coefficient; whether the series
+        has all `TERMS`; the `SlipSeries`.
     """
     v3, turn, mu = state.v3, state.turn, problem.mu
     t1, m0 = polynomials.p1, polynomials.m0
     event, x, last = codes.NO_EVENT, 0.0, 0.0
-    around_invariant = whole = event != codes.NO_EVENT  # False, but no literal: see `codes`
+    around_invariant = whole = event != codes.NO_EVENT  # False, but not a literal, see `codes`
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     series = SlipSeries(
         *(around_invariant, coefficients, reciprocals, shape, scale, mu),
@@ -133,19 +135,16 @@ def _near_event(
 
 @always_inlined
 def _far_series(coefficients, reciprocals, problem, units, state, polynomials, last, whole, series):
-    """Go as far as a series converges and v₃ is monotone.
-
-    That is into the invariant direction ahead, far from the one behind, or some way towards it.
+    """Expand a series around a nearby invariant direction, or else in the half-angle, up to its limit.
 
     Args:
-        coefficients, reciprocals, problem, units, state, polynomials: See `turning_move`.
-        last: Size of the last coefficient of the series made so far.
-        whole: Whether it has all its terms.
-        series: It.
+        coefficients, reciprocals, problem, units, state, polynomials: As for `turning_move`.
+        last, whole, series: As `_near_event` returns them.
 
     Returns:
-        the `SlipSeries`; how far; whether v₃ has an extremum there; and its axes: the direction at t = 0 (2),
-        p₁ there, and the half-angle tangent of the invariant direction, 0 for none.
+        The `SlipSeries`; the x up to which it converges and v₃ is monotone; whether v₃ has an extremum there;
+        and its axes: the direction at t = 0 (2), p₁ there, and the half-angle tangent of the invariant
+        direction, 0 for none.
     """
     mu, s1, s2, turn = problem.mu, state.s1, state.s2, state.turn
     around_invariant, count, shape = series.around_invariant, len(series.coefficients) - 1, series.shape
@@ -199,7 +198,7 @@ def _far_series(coefficients, reciprocals, problem, units, state, polynomials, l
 
 @inlined
 def _end_at(series, x):
-    """Return ΔP₃, the other impulses along and across, |v_t| over that at x = 0, t, and v₃, at x."""
+    """Return ΔP₃, ΔP∥, ΔP⊥, |v_t| over that at x = 0, t, and v₃ at x."""
     span, along, across, dv3, ratio, t, _, _ = point(series, x)
     return span, along, across, ratio, t, series.v3 + dv3
 
@@ -209,14 +208,14 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
     """Find the first event on a series up to x.
 
     Args:
-        axes, x, peaks: As `_far_series` returns them.
-        rate: dv₃/dP₃ at its start.
-        restoring: Whether it is restitution.
-        nodes, goal, left: See `turning_move`.
+        series, x, peaks, axes: As `_far_series` returns them.
+        nodes, problem, goal, left: As for `turning_move`.
+        rate: dv₃/dP₃ at the start of the series.
+        restoring: Whether the phase is restitution.
 
     Returns:
-        the event and where it is; whether the contact keeps sliding for ever; the normal work, if that
-        counts; what `_end_at` returns for x; and flags.
+        The event and its x; whether slip never ends and no event occurs; the normal work, if the law depends
+        on it; `_end_at` of the given x; and flags.
     """
     v3, shape, counts = series.v3, series.shape, problem.counts
     event, flags, work = codes.NO_EVENT, codes.NO_FLAG, 0.0
@@ -232,7 +231,7 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
         if x == math.inf and problem.s == 0.0:
             v3_end = problem.offset
         end = span, along, across, ratio, t, v3_end
-    # what the velocity brings
+    # events of v₃
     met = v3_end > goal or (v3_end == goal and x < math.inf)
     aim = goal if counts == codes.VELOCITY and restoring and met else 0.0
     if restoring:
@@ -247,7 +246,7 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
     if event != codes.NO_EVENT:
         x = seek(series, nodes, codes.VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
         endless = False
-    # what the sum of impulse or work brings before that
+    # an earlier goal of impulse or work
     if restoring and counts != codes.VELOCITY:
         total = math.inf
         if not endless:
@@ -264,9 +263,13 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
 
 @always_inlined
 def _state_after(problem, state, series, axes, event, x, end):
-    """Return the state at x on a series with the axes of `_far_series`, dv₃/dP₃ there, and flags.
+    """Return the state at x on a series, dv₃/dP₃ there, and flags.
 
-    The state given is that at its start, the event what ends the move, and `end` what `_end_at` returns.
+    Args:
+        problem, state, series: The `Problem`, the `State` at the start, and the `SlipSeries`.
+        axes: As `_far_series` returns them.
+        event, x: The event that ends the move, and its x.
+        end: `_end_at` of x.
     """
     d1, d2, n1, _ = axes
     span, along, across, ratio, t, v3_end = end
@@ -274,7 +277,7 @@ def _state_after(problem, state, series, axes, event, x, end):
     j0, j1, j2 = series.j0, series.j1, series.j2
     if event in (codes.COMPRESSION_ENDS, codes.COMPRESSION_RESUMES):
         v3_end = 0.0
-    # v₃ is monotone, but at both ends it may stand still
+    # dv₃/dP₃ has one sign but may vanish at both ends, so its sign is taken in the middle
     middle = 0.5 * (t + shape.h * shape.start if series.around_invariant else t)
     flags = jams(j0 + middle * (j1 + middle * j2))
     chord = 1.0 + t * t
