@@ -184,7 +184,7 @@ class StepSlopes:
             reached = x[3 * nv] + step.h * shift + part * moved.length
             return np.vstack([self._within(x, moved, step, part, shift), moved.pushed, reached])
         result = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
-        result[:nv] = self._removed(result[:nv], taken)
+        result = self._removed(result, taken)
         return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
 
     def at(self, x: Array, step: DenseStep, t: float, force: Array) -> Array:
@@ -195,8 +195,8 @@ class StepSlopes:
         moved, part = self._differentiate(x, step, force), (t - step.start) / step.h
         result = self._within(x, moved, step, part, -(x[-1] + part * moved.length) / step.h)
         if taken.removals:  # little by little in the dense output
-            end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))[:nv]
-            result[:nv] += part * (self._removed(end, taken) - end)
+            end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
+            result += part * (self._removed(end, taken) - end)
         return result
 
     def modes(self, taken: StepTaken) -> Integers:
@@ -423,10 +423,10 @@ class StepSlopes:
         by_q = self._advanced(step.q, xi, x[:nv], by_xi)
         return np.vstack([by_q, self._turned(xi, v + part * change, by_xi, reached)[1]])
 
-    def _removed(self, by_q: Array, taken: StepTaken) -> Array:
-        """Return changes of q (nv, n) at the end of a step after overlap has been taken away. (D36)"""
-        model = self._model
-        for xi, pushes, before, rows, near in taken.removals:
+    def _removed(self, x: Array, taken: StepTaken) -> Array:
+        """Return changes (2 nv, n) at the end of a step after overlap has been taken away. (D36)"""
+        model, (by_q, by_v) = self._model, np.split(x, 2)
+        for xi, pushes, before, v, rows, near in taken.removals:
             placed = PlacedRobot(model, self._data, before)
             slopes = RowSlopes(placed, *near, self._spare)
             jacobian = dense(rows, len(xi))
@@ -447,9 +447,9 @@ class StepSlopes:
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
-            turn, push = pin.dIntegrate(model, before, xi)
-            by_q = turn @ by_q + push @ (free + response @ impulses)
-        return by_q
+            by_xi = free + response @ impulses
+            by_q, by_v = self._advanced(before, xi, by_q, by_xi), self._turned(xi, v, by_xi, by_v)[1]
+        return np.vstack([by_q, by_v])
 
 
 def _taken(step: DenseStep) -> StepTaken:

@@ -31,6 +31,7 @@ class Removal(NamedTuple):
         displacement: (nv,) ξ.
         pushes: z, along `StepRows.normals`, then `StepRows.held_rows` [kg m or kg m²].
         before: (nq,) the configuration before.
+        v: (nv,) the velocity before.
         rows: The rows there.
         near: What they belong to.
     """
@@ -38,6 +39,7 @@ class Removal(NamedTuple):
     displacement: Array
     pushes: Array
     before: Array
+    v: Array
     rows: StepRows
     near: Near
 

@@ -11,7 +11,6 @@ import math
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.augmented_newton import ITERATIONS
@@ -21,7 +20,7 @@ from ..errors import IrregularMotionError
 from ..robot.forest import has_constant_mass, mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
-from ._kernels.lie_charts import velocity_within
+from ._kernels.lie_charts import advance, turn_axes, velocity_within
 from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
@@ -415,7 +414,8 @@ class TimeStepping(Integrator):
         """Take away what overlaps at the end of a step; return the displacement (nv,).
 
         It is the least one in the metric of M for the gaps as they are; where it brings other points into
-        contact, or gaps are not linear, it is followed by another one. (theory.md, 16)
+        contact, or gaps are not linear, it is followed by another one. Velocities of free bodies stay as
+        they are in axes that stand still. (theory.md, 16)
 
         Args:
             step: The step, which ends where it is taken away.
@@ -423,7 +423,7 @@ class TimeStepping(Integrator):
             depth: The largest overlap [m].
             system: The `StepSystem`.
         """
-        state, nv = self.state, self.model.nv
+        state, nv, v = self.state, self.model.nv, self.state.v
         moved, still, before = np.zeros(nv), np.zeros(nv), self._energy_at(state.q)
         for attempt in range(MOST_REMOVALS):
             self._faces.place(state.q, state.v, h)
@@ -438,18 +438,21 @@ class TimeStepping(Integrator):
             correction, pushes = np.empty(nv), np.empty(len(rows.gap) + 2 * len(rows.held))
             least_displacement(system, rows, correction, pushes)
             if step.taken is not None:
-                step.taken.removals.append(Removal(correction, pushes, state.q, rows, self._near_of(rows)))
-            state.q = pin.integrate(self.model, state.q, correction)
+                near = self._near_of(rows)
+                step.taken.removals.append(Removal(correction, pushes, state.q, state.v, rows, near))
+            opened, turned = np.empty(len(state.q)), np.empty(nv)
+            advance(self.work.joint_charts, state.q, correction, opened)
+            turn_axes(self.work.joint_charts, correction, state.v, turned)
+            state.q, state.v = opened, turned
             moved += correction
         state.impact_energy += self._energy_at(state.q) - before
-        step.coefficients[0, :nv] += moved
+        step.coefficients[0, : 2 * nv] += np.concatenate([moved, state.v - v])
         return moved
 
     def _energy_at(self, q: Array) -> float:
-        """Return the energy with the present velocity [J], but for kinetic energy that q does not change."""
+        """Return the energy with the present velocity [J]."""
         model, data = self.model, self.data
-        potential = potential_energy(model, data, q)
-        return potential if self._mass_constant else potential + kinetic_energy(model, data, q, self.state.v)
+        return potential_energy(model, data, q) + kinetic_energy(model, data, q, self.state.v)
 
     # ---- impacts
 
