@@ -1,7 +1,4 @@
-"""Motions whose events are located where that goes, and crossed by time stepping where it does not.
-
-(theory.md, section 16)
-"""
+"""Event-driven integration, with time steps where events cannot be located. (theory.md, section 16)"""
 
 from __future__ import annotations
 
@@ -26,29 +23,32 @@ from .records import SteppedInterval
 from .time_stepping import TimeStepping
 
 CHUNK = 8
-"""Steps after which two lengths of steps are compared."""
+"""Number of time steps after which the solutions of two step sizes are compared."""
 
 SOON = 2.0
-"""Intervals of time steps within which another refusal makes the next one twice as long."""
+"""If the event-driven scheme fails again within this multiple of the last interval of time steps, the next
+interval is twice as long."""
 
 MOST_PARTS = 16
-"""Parts of a step down to which they are shortened where that keeps to the tolerance."""
+"""Largest number of parts into which time steps are divided to satisfy the tolerance."""
 
 SHORTER = 16
-"""Part of `dt` with which a crossing begins; intervals that follow each other soon double it, up to `dt`."""
+"""Divisor of `dt` for the step size of a first interval; intervals that follow soon double it, up to `dt`."""
 
 STEPS_PER_SCALE = 50.0
-"""Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
+"""Least number of time steps per time scale of the scene; it limits `dt` in small scenes."""
 
 ACCUMULATING, BRIEF = 200, 0.01
-"""So many steps that last a smaller part of `dt` on average are accumulating events, if half end at one."""
+"""Events accumulate if this number of steps is shorter than `BRIEF` times `dt` on average and half of them
+end at events."""
 
 LOOKED_AT = 50
-"""Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
+"""With more than `CROWD` active contacts, time steps take over if this number of steps is shorter than `dt`
+on average."""
 
 
 class Alternating(TimeStepping):
-    """A motion by the event-driven scheme, with intervals in time steps; see `Integrator`."""
+    """A motion integrated by the event-driven scheme, with intervals of time steps; see `Integrator`."""
 
     def _prepare(self) -> None:
         state, dt = self.state, self.options.dt
@@ -60,19 +60,19 @@ class Alternating(TimeStepping):
             self._prepare_steps()
 
     def _set_crossing(self, crossing: bool) -> None:
-        """Let time steps be taken from now on, or not."""
+        """Set whether the motion advances by time steps."""
         self.state.crossing, self._dt = crossing, self.state.coarse
         self.instant.crowds_refused = not crossing
 
     def begin(self, tau: Array | None = None) -> None:
-        """Let what happens at the start happen, and begin to move; see `Integrator.begin`."""
+        """Process the start and begin the motion; see `Integrator.begin`."""
         try:
             Integrator.begin(self, tau)
         except IrregularMotionError as error:
             self._cross(error)
 
     def hold_force(self, tau: Array) -> None:
-        """Let a constant force (nv,) act from now on."""
+        """Replace the constant generalized force (nv,) from the present time on."""
         if self.state.crossing:
             TimeStepping.hold_force(self, tau)
             return
@@ -88,31 +88,31 @@ class Alternating(TimeStepping):
         (TimeStepping if self.state.crossing else Integrator)._settle_and_begin(self, arriving)
 
     def _last_sampled(self) -> tuple[Mark, HybridState]:
-        """Return the end of the step whose event is refused, or else the last consistent state.
+        """Return the end of the step whose event raised an error, or else the last consistent state.
 
-        Events of the user's may have happened within that step, so that with them it is repeated.
+        With user events it is the latter, so that the step is repeated: some may have happened within it.
         """
         (lengths, present), state = self.reached
         rows, (steps, samples, *others) = self.record.samples, lengths
         if self.events or len(rows) <= samples or rows[samples][0] <= state.t:
             return self.reached
         t, q, v, works, impact_energy = rows[samples]
-        changed = state.kept(t=t, q=q, v=v, works=works, impact_energy=impact_energy)
+        changed = state.copy(t=t, q=q, v=v, works=works, impact_energy=impact_energy)
         return Mark((steps + 1, samples + 1, *others), present), changed
 
     def _return_to(self, reached: tuple[Mark, HybridState]) -> None:
-        """Return to what was consistent."""
+        """Return to an earlier record and state."""
         mark, state = reached
         self.record.cut(mark)
-        self.state.become(state)
+        self.state.assign(state)
 
-    def _report_beyond(self, text: str) -> None:
+    def _report_violation(self, text: str) -> None:
         raise IrregularMotionError(f"scene: {text[0].lower() + text[1:]}")
 
     # ---- crossing
 
     def _step(self, h: float, stop: float, scale: float) -> float:
-        """Take a step of the event-driven scheme, or some time steps; return the length to try next."""
+        """Take one event-driven step or several time steps; return the step size to try next [s]."""
         state = self.state
         if not state.crossing:
             try:
@@ -125,7 +125,7 @@ class Alternating(TimeStepping):
         length, begun = FIRST_STEP * self._longest if entering else CHUNK * state.coarse, self.mark()
         try:
             self._step_until(min(stop, state.until, state.t + length))
-        except IrregularMotionError:  # where nothing moves a contact only longer steps leave that posture
+        except IrregularMotionError:  # near a locked posture (theory.md, 13.4) only longer steps leave it
             if not entering and state.coarse >= self._longest:
                 raise
             self._return_to(begun)
@@ -137,13 +137,13 @@ class Alternating(TimeStepping):
         return self._hand_back()
 
     def _watch_events(self) -> None:
-        """Refuse to go on where events accumulate, or with many closed contacts are closer than time steps.
+        """Check that event-driven steps are not much more expensive than time steps.
 
         Raises:
-            IrregularMotionError: See above.
+            IrregularMotionError: Events accumulate, or many contacts are active and steps shorter than `dt`.
         """
-        closed, steps = self.work.active_contacts, self.record.dense_steps
-        crowded = closed > CROWD
+        active, steps = self.work.active_contacts, self.record.dense_steps
+        crowded = active > CROWD
         count, part = (LOOKED_AT, 1.0) if crowded else (ACCUMULATING, BRIEF)
         if len(steps) - self.state.events_since < count:
             return
@@ -153,18 +153,18 @@ class Alternating(TimeStepping):
             return
         if crowded or ended(self.instant, count) > BY_EVENTS * count:
             raise IrregularMotionError(
-                f"scene: {count} steps cover {covered:.3g} s, with active contacts: {closed}"
+                f"scene: {count} steps cover {covered:.3g} s, with active contacts: {active}"
             )
 
-    def _cross(self, refusal: IrregularMotionError) -> None:
-        """Return to the last consistent state, and cross what comes by time steps."""
+    def _cross(self, error: IrregularMotionError) -> None:
+        """Return to the last consistent state, and change to time steps because of an error."""
         self._return_to(self._last_sampled())
         state = self.state
         if not self.record.stepping_warned:
             self.record.stepping_warned = True
             warnings.warn(
                 f"t = {state.t:.6g} s: time steps are taken, since events cannot be located here: "
-                f"{refusal}. `trajectory.stepped` lists all such intervals.",
+                f"{error}. `trajectory.stepped` lists all such intervals.",
                 SteppedWarning,
                 stacklevel=2,
             )
@@ -178,7 +178,7 @@ class Alternating(TimeStepping):
             state.interval = CHUNK * state.coarse
         state.until = state.t + state.interval
         if not (state.stepped and state.stepped[-1].end == state.t):
-            state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(refusal), 0.0),)
+            state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(error), 0.0),)
         self._set_crossing(True)
         state.entering = True
         state.islands = state.resting_forces = state.warm_start = None
@@ -187,21 +187,21 @@ class Alternating(TimeStepping):
         self.work.sliding_friction[:] = 0.0
         self._faces.place(state.q, state.v, 0.0, touching=self._touching)
         gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
-        # what arrives here without restitution is stopped by the first step
+        # the first step stops the contacts that arrive without restitution
         if (self._collides & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
             self._collide()
-        self._let_events_happen()
+        self._trigger_events()
 
     def _step_until(self, end: float) -> None:
-        """Take time steps until a time, whose length keeps to the tolerance where that can be.
+        """Take time steps until a time [s], with a step size that satisfies the tolerance if possible.
 
-        Steps of two lengths are compared; of first order, they tell the length that keeps to it.
+        The required step size follows from the difference of two solutions, by the first order of the method.
         """
         state, start, begun = self.state, self.mark(), self.state.t
-        q_coarse, v_coarse, order_coarse = self._try(start, end, state.coarse)
-        q, v, order = self._try(start, end, 0.5 * state.coarse)
+        q_coarse, v_coarse, impacts_coarse = self._try(start, end, state.coarse)
+        q, v, impacts = self._try(start, end, 0.5 * state.coarse)
         error, parts = math.nan, 2
-        if order_coarse == order:
+        if impacts_coarse == impacts:
             by_position = np.abs(pin.difference(self.model, q_coarse, q)).max(initial=0.0)
             by_velocity = 0.5 * state.coarse * np.abs(v_coarse - v).max(initial=0.0)
             error = float(max(by_position, by_velocity))
@@ -218,9 +218,10 @@ class Alternating(TimeStepping):
         state.stepped = (*state.stepped[:-1], now)
 
     def _try(self, start: tuple[Mark, HybridState], end: float, dt: float) -> tuple[Array, Array, list[str]]:
-        """Take time steps from a state on until a time, without events of the user's.
+        """Take time steps of size dt [s] from a state until a time [s], without user events.
 
-        Returns q and v at the end, and what has collided on the way.
+        Returns:
+            q (nq,) and v (nv,) at the end, and the names of the contacts and limits that collided, in order.
         """
         self._return_to(start)
         impacts = len(self.record.impacts)
@@ -232,15 +233,19 @@ class Alternating(TimeStepping):
         return self.state.q, self.state.v, [impact.source for impact in self.record.impacts[impacts:]]
 
     def _run(self, end: float, dt: float) -> None:
-        """Take time steps until a time, or until an event ends the motion."""
+        """Take time steps of size dt [s] until a time [s], or until an event ends the motion."""
         self._dt = dt
-        self.state.pushed = self._no_change  # impulses in steps of another length are no start for these
+        self.state.pushed = self._no_change  # impulses of steps of another size do not predict these
         self._rest.wake_all()
         while self.state.t < end and self.state.ended_by is None:
             TimeStepping._step(self, dt, end, 1.0)
 
     def _hand_back(self) -> float:
-        """Go on by the event-driven scheme; return the length to try, or that of time steps if it refuses."""
+        """Change back to the event-driven scheme, or stay with time steps if it fails.
+
+        Returns:
+            The step size to try next [s].
+        """
         state, work = self.state, self.work
         state.handed_back = state.t
         self.reached = self.mark()

@@ -1,4 +1,4 @@
-"""Pairs of convex shapes in time steps: the points of the patches in which they face each other."""
+"""Contacts of pairs of convex shapes in time steps: the corners of their contact patches. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from .layout import SceneLayout
 
 @dataclass(eq=False)
 class _Places:
-    """The contacts that are kept for a pair of which one shape is no box.
+    """The contacts reserved for a pair of shapes that are not both boxes.
 
     Attributes:
         pair: The shapes.
-        numbers: Of the contacts.
-        used: How many of them stand for points of the present patch.
-        corners: These points, by number of the contact.
+        numbers: Numbers of the contacts.
+        used: How many of them represent corners of the present patch.
+        corners: These corners, by number of the contact.
     """
 
     pair: ShapePair
@@ -42,14 +42,18 @@ class _Places:
 
 
 class FacingShapes:
-    """Fills the places of pairs of shapes with the points of their patches.
+    """Assigns the corners of the patches of pairs of shapes to the contacts reserved for these pairs.
+
+    Args:
+        model: The model.
+        dynamics: The dynamics, whose contacts and workspace are modified.
+        layout: The layout of the scene.
+        rests: (nj,) whether each joint is at rest; patches between joints at rest are not recomputed.
+        near: Gap below which patches are computed at any speed [m].
 
     Attributes:
-        idle: (n,) contacts that are kept for a pair and stand for no point now.
-        boxes: Whether there are pairs of boxes, so that `place` leaves the kinematics of its state.
-
-    What faces each other at joints (nj,) that are at `rests`, the world among them, stays; shapes within the
-    distance `near` [m] face each other at any speed.
+        idle: (n,) whether a contact is reserved for a pair and represents no corner now.
+        boxes: Whether there are pairs of boxes, so that `place` evaluates the kinematics of the workspace.
     """
 
     def __init__(
@@ -99,7 +103,7 @@ class FacingShapes:
         self._facing = FacingBoxes(used, np.zeros((count, 3)), points, others, kinds, np.zeros((count, 2, 3)))
 
     def clear(self) -> None:
-        """Let no contact stand for a point."""
+        """Set all reserved contacts idle."""
         self._end_impact()
         self._work.contact_constants[self._kept] = self._blanks[self._kept]
         self._work.contact_joints[self._kept] = self._ends
@@ -109,15 +113,20 @@ class FacingShapes:
             places.used = 0
 
     def _end_impact(self) -> None:
-        """Take back what `_strike` has made of contacts."""
+        """Undo the changes of `dynamics.contacts` by `_strike`."""
         for i, blank in self._struck.items():
             self._dynamics.contacts[i] = blank
         self._struck.clear()
 
     def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
-        """Fill the places of pairs that may touch within a time h [s].
+        """Compute the patches of pairs that may touch within a time, and assign their corners to contacts.
 
-        For impacts, `touching` is the gap up to which shapes touch [m]; `dynamics.contacts` is filled too.
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            h: The time [s].
+            touching: For impacts: the largest gap of shapes in contact [m]; `dynamics.contacts` is set too.
+                Negative: not for impacts.
         """
         self._end_impact()
         near = self._near + 8.0 * self._gravity * h * h
@@ -157,7 +166,7 @@ class FacingShapes:
         return len(self._solids[0]) > 0 and may_pass(self._work, q, v, h, *self._solids, self._rests)
 
     def corners(self) -> dict[int, Corner]:
-        """Return the corners that contacts stand for, by number, as `place` has found them last."""
+        """Return the corners that the last `place` assigned, by number of the contact."""
         found: dict[int, Corner] = {}
         used, *faces = self._facing
         for p in np.flatnonzero(used).tolist():
@@ -170,13 +179,13 @@ class FacingShapes:
         return found
 
     def _speed(self, side: CarriedShape) -> float:
-        """Return what the speeds of a shape's points do not exceed [m/s]."""
+        """Return an upper bound of the speeds of a shape's points [m/s]."""
         motion = self._data.v[side.joint]
         arm = float(np.linalg.norm(side.in_joint.act(side.shape.center))) + side.shape.reach
         return float(np.linalg.norm(motion.linear) + arm * np.linalg.norm(motion.angular))
 
     def _fill(self, places: _Places, found: Patch | None, contacts: bool) -> None:
-        """Fill the places of a pair, as the kernel does for boxes."""
+        """Assign the corners of a patch to the contacts of a pair, as the kernel does for boxes."""
         work, data, pair, count = self._work, self._data, places.pair, 0
         if found is not None:
             count = min(len(found.gaps), len(places.numbers))
@@ -199,7 +208,7 @@ class FacingShapes:
         places.used = count
 
     def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:
-        """Let a contact be that of two points, for an impact."""
+        """Replace a contact of `dynamics.contacts` by that of two points, for an impact."""
         core = Touch(
             "vertex-face",
             ends[0] + pair.a.shape.radius * normal,
@@ -211,7 +220,7 @@ class FacingShapes:
 
 
 def _solids(every: list[ShapePair], dynamics: SceneDynamics) -> tuple[Integers, Array, Integers]:
-    """Return what `may_pass` needs: joints (k,) and measures (k, …) of solids, and pairs (p, 2) of them."""
+    """Return the tables of `may_pass`: joints (k,) and dimensions (k, …) of solids, their pairs (p, 2)."""
     numbers: dict[Any, int] = {}
     joints: list[int] = []
     measures: list[list[float]] = []

@@ -1,4 +1,4 @@
-"""The state of a motion: all on which what comes next depends, as one value."""
+"""The complete state of a motion, which determines how it continues, as one value."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .records import SteppedInterval
 
 
 class Touching(NamedTuple):
-    """What touches of two shapes.
+    """The contact of two convex shapes A and B.
 
     Attributes:
-        points: By contact: the features in contact.
-        normals: (3,) normal of each, from B to A.
-        flush: Corners in the plane of contact where nothing is to touch, of A and of B.
+        points: By number of the contact: the features in contact.
+        normals: By number of the contact: the normal (3,), from B to A.
+        flush: Corners of A and of B that lie in the plane of contact without being in contact.
     """
 
     points: dict[int, PointContact]
@@ -31,47 +31,47 @@ class Touching(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class HybridState:
-    """What a motion has reached. With the scene and the options it determines how the motion continues.
+    """State of a motion. Together with the scene and the options it determines how the motion continues.
 
-    Values of fields are replaced, never changed in place, so `kept` states share them. What kernels change in
-    place (modes, active contacts, directions of slip, forces, stages of the step before) is in the workspace;
-    a value that is copied or pickled has it in `memory`, see `Integrator.value`.
+    Field values are replaced, never changed in place, so copies share them. Data that kernels change in place
+    (modes, active contacts, directions of slip, forces, stages of the last step) are in the workspace; copied
+    and pickled states store them in `memory`, see `Integrator.value`.
 
     Attributes:
         t: Time [s].
         q, v: (nq,) configuration and (nv,) velocity.
-        works: (4,) integrated works, see `dense_step.WORKS` [J].
+        works: (4,) integrated work, see `dense_step.WORKS` [J].
         impact_energy: Change of kinetic energy in impacts so far [J].
-        overlap: What overlaps at the start by more than rounding, as a sentence, or None.
+        overlap: Message that describes an overlap at the start of more than rounding, or None.
         ended_by: Name of the event that has ended the motion, or None.
-        closed: What is closed, or None.
-        forces_found: Whether forces were found to the usual accuracy where modes were set last.
+        closed: The active contacts, or None.
+        forces_found: Whether forces were found to the usual accuracy when the modes were last set.
         forces_unique: Whether forces were unique where the smooth motion began.
         forces_beyond: Whether forces have exceeded their bounds.
-        touching: Of pairs of shapes that touch, by number of the pair: in what.
-        signs, counts: Of each user event: the sign of its guard, and how often it has happened.
-        instant, happened: The time of the last user event, and which events have happened at that time.
-        length: The length of step to try next [s].
-        bounce: Up to how much longer than a bounce just begun steps may be [s].
+        touching: Contacts of the pairs of convex shapes that touch, by number of the pair.
+        signs, counts: For each user event, the sign of its guard and the number of times it has happened.
+        instant, happened: Time of the last user event [s], and the events that have happened at that time.
+        length: Step size to try next [s].
+        bounce: Upper bound of the step size where a bounce has just begun [s].
         cut_short: Whether the last step ended at a given time.
-        low_orders_from: The steps from which orders 5 and 3 may be tried.
-        steps, rejected: Numbers of steps.
-        marked: `steps`, `t` and `v` where there was progress last.
-        rubbed: Least works of friction so far, in joints and in contacts [J].
-        struck: Instants with impacts since the motion was resumed.
-        islands: (trees,) Of each tree of joints that rests in time steps: its island, else −1.
-        resting_forces: On what rests.
-        warm_start, pushed: (nv,) where the iteration of a time step begins, see `step_impulses`; the mean
-            acceleration by the impulses of the step before.
-        step_before: The length of that step [s].
-        unsolved: The largest error of a contact problem in time steps so far.
-        crossing, entering: Whether time steps are taken now; whether the next is the first of them.
-        until, interval: The time until which they are taken, and the length of that interval [s].
-        coarse: Their length [s].
-        handed_back, events_since: When the last such interval ended [s]; the number of steps at that time.
+        low_orders_from: Numbers of steps from which orders 5 and 3 may be tried.
+        steps, rejected: Numbers of accepted and of rejected steps.
+        marked: `steps`, `t` and `v` at the last time at which there was progress.
+        rubbed: Least work of friction so far, in joints and in contacts [J].
+        struck: Number of instants with impacts since the motion was resumed.
+        islands: (trees,) island of each kinematic tree at rest in time steps, −1 for moving trees.
+        resting_forces: Forces on the bodies at rest in time steps.
+        warm_start: (nv,) initial iterate of the next time step, see `step_impulses`.
+        pushed: (nv,) mean acceleration by the impulses of the last time step.
+        step_before: Length of that step [s].
+        unsolved: Largest residual of a contact problem in time steps so far.
+        crossing, entering: Whether time steps are taken now; whether the next one is the first of them.
+        until, interval: End of the present interval of time steps, and its length [s].
+        coarse: Step size in it [s].
+        handed_back, events_since: End of the last such interval [s], and the number of steps at that time.
         stepped: All such intervals.
         memory: Values of the workspace, and the directions (p, 3) along which pairs of shapes are apart; None
-            in a motion under way.
+            while the motion is being integrated.
     """
 
     t: float
@@ -120,14 +120,14 @@ class HybridState:
 
     memory: tuple[Any, ...] | None = None
 
-    def kept(self, **changes: Any) -> HybridState:
-        """Return the present values, with changes."""
+    def copy(self, **changes: Any) -> HybridState:
+        """Return a copy, with some fields changed."""
         state = object.__new__(HybridState)
         state.__dict__.update(self.__dict__, **changes)
         return state
 
-    def become(self, other: HybridState) -> None:
-        """Take the values of another state."""
+    def assign(self, other: HybridState) -> None:
+        """Copy all fields from another state."""
         self.__dict__.update(other.__dict__)
 
     def __repr__(self) -> str:

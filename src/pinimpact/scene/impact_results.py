@@ -1,4 +1,4 @@
-"""What the impacts of a scene come to."""
+"""Results of the impacts of a scene."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .records import ImpactGroup
 
 
 class Impact(NamedTuple):
-    """What an impact comes to.
+    """Result of an impact at one contact or limit.
 
     Attributes:
-        v: (nv,) velocity after it.
-        resting: The bounce would have been slower than the resting speed, so restitution was left out.
-        contact_space: Makes the problem and the impulse in world axes.
-        notes: What a reader should know of it.
+        v: (nv,) velocity after the impact.
+        resting: Whether restitution was set to zero, since the bounce would be slower than the resting speed.
+        contact_space: Returns the impact problem and the impulse (3,) in world axes.
+        notes: Notes for the trajectory.
     """
 
     v: Array
@@ -33,13 +33,13 @@ class Impact(NamedTuple):
 
 
 class Struck(NamedTuple):
-    """What has had an impulse in an impact at several contacts and limits at one instant.
+    """A contact or limit with an impulse in an impact at several contacts.
 
     Attributes:
-        source: Which contact or limit.
-        place: In the problem of all.
-        resting: It bounces slower than the resting speed.
-        contact_space: Makes its own problem and the impulse in world axes.
+        source: Number of the contact or limit.
+        place: Its index in the problem of all.
+        resting: Whether it bounces slower than the resting speed.
+        contact_space: Returns its own problem and the impulse (3,) in world axes.
     """
 
     source: int
@@ -49,13 +49,13 @@ class Struck(NamedTuple):
 
 
 class GroupImpact(NamedTuple):
-    """What an impact at several contacts and limits at one instant comes to.
+    """Result of an impact at several contacts and limits.
 
     Attributes:
-        v: (nv,) velocity after it.
-        struck: What has had an impulse.
-        group: What the records of these share.
-        notes: What a reader should know of it.
+        v: (nv,) velocity after the impact.
+        struck: The contacts and limits with an impulse.
+        group: The data that their records share.
+        notes: Notes for the trajectory.
         bounded: Whether a bound on steps or events was reached.
     """
 
@@ -77,10 +77,15 @@ class Solved(NamedTuple):
 def group_impact(
     v: Array, response: Array, solved: Solved, sources: Sequence[int], axes: Sequence[Array], least: float
 ) -> GroupImpact:
-    """Return what a solution comes to, from v (nv,) before it and the response (nv, 3n), Δq̇ per unit impulse.
+    """Return the result of an impact at several contacts from its solution.
 
-    Sources are the contacts and limits, with the contact axes of each; below the part `least` of the largest
-    one an impulse is none.
+    Args:
+        v: (nv,) velocity before the impact.
+        response: (nv, 3n) Δq̇ per unit impulse.
+        solved: The solution.
+        sources: Numbers of the contacts and limits.
+        axes: Contact axes (3, 3) of each.
+        least: Normal impulses up to this fraction of the largest one are taken as zero.
     """
     impulses = solved.solution.impulse
     pressed = impulses[:, 2].tolist()
@@ -100,7 +105,13 @@ def of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:
 
 
 def of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
-    """Return the same of a joint limit, from its inverse inertia, its rate and the restitution."""
+    """Return the problem of an impact at a joint limit, and zero for its impulse in world axes.
+
+    Args:
+        c: Inverse inertia of the joint.
+        rate: Gap rate before the impact.
+        e: Coefficient of restitution.
+    """
     return ImpactProblem(np.diag([0.0, 0.0, c]), np.array([0.0, 0.0, rate]), 0.0, e), np.zeros(3)
 
 

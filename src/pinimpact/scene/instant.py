@@ -1,4 +1,7 @@
-"""What changes the state of a motion at one instant: impacts, modes, corrections."""
+"""Changes of the state at one instant: impacts, contact modes, correction of constraint drift.
+
+The methods are in theory.md, sections 11 to 14.
+"""
 
 from __future__ import annotations
 
@@ -32,49 +35,49 @@ from .start import check_start, left_by_steps
 from .switched_off import altered, held_contacts
 
 Arriving = int | list[int] | None
-"""Numbers of contacts or of a limit whose gap closes now."""
+"""Numbers of the contacts, or of the limit, whose gap closes now; None: none."""
 
 ISLANDS = 5
-"""Islands of bodies beyond which a crowd of contacts is left to time steps altogether. Forces of all contacts
-are found together here, at a cost that grows with the cube of their number; time steps find them island by
-island."""
+"""Number of islands above which more than `CROWD` touching contacts are left to time steps. The event-driven
+scheme solves for the forces of all contacts at once, at a cost cubic in their number; time steps solve each
+island alone."""
 
 STICK_FRACTION = 0.1
-"""Slip slower than this part of the resting speed is none."""
+"""Sticking speed, relative to the resting speed: slower slip is taken as zero."""
 
 CLEAR = 10.0
-"""A singularity is that of slip if friction larger by no more than so many times that part makes it one."""
+"""A singularity is attributed to slip if friction has to grow by a factor of at most 1 + `CLEAR` · `singular`
+to reach it. (theory.md, 13.3)"""
 
 MOST_JAMS = 10
-"""Impacts without collision at one instant."""
+"""Largest number of impacts without collision at one instant."""
 
 MOST_AHEAD = 0.1
-"""How far to look ahead for modes that begin without a jump at the most, in parts of a step."""
+"""Largest time by which to look ahead for modes that begin without a jump, relative to the step size."""
 
 
 class Instant:
-    """What happens to a motion at one instant.
+    """Resolve impacts and set contact modes at the present time of a motion.
 
-    Contacts are numbered first, held ones last of them, then joint limits.
+    Contacts are numbered first, with held ones at their end, followed by the joint limits.
 
     Args:
         scene: The scene.
-        model: Its model, without what is switched off.
+        model: Its model, without the effects that are switched off.
         data: Its data.
         state: The state of the motion.
-        starts: Whether the motion starts in it, so that it is checked.
-        dt: The length of time steps [s].
+        starts: Whether the motion starts in this state, which is then checked.
+        dt: Length of the time steps [s].
 
     Attributes:
-        data: That of the arguments.
-        state: Likewise.
-        record: What there is to tell of the motion.
-        shapes: The pairs of shapes that may meet.
-        rims: The rims.
-        dynamics: The motion between events, with the modes that hold now.
-        names: Of the contacts that are watched, and of the joint limits.
-        crowds_refused: Whether impacts that restore nothing are refused at more than `CROWD` contacts, or if
-            their waves are not resolved.
+        data, state: As in the arguments.
+        record: The record of the motion.
+        shapes: The pairs of convex shapes.
+        rims: The contacts that are rims.
+        dynamics: The smooth dynamics, with the present contact modes.
+        names: Of the contacts and the joint limits.
+        crowds_refused: Whether to raise an error for impacts without restitution that have more than `CROWD`
+            contacts or whose waves are not resolved.
     """
 
     def __init__(
@@ -109,9 +112,9 @@ class Instant:
         self.shapes = ShapeWatch(model, layout, self.dynamics, state)
         self.shapes.tolerance = work.touching_gap
         self.rims = Rims(model, data, self.dynamics, state)
-        self._where = np.zeros(len(self.names), dtype=np.int64)
-        self._slow = np.zeros(len(self.names), dtype=np.int64)
-        self._hit = np.zeros(len(self.names), dtype=bool)  # at this instant
+        self._where = np.zeros(len(self.names), dtype=np.int64)  # APART, ARRIVING or STRUCK
+        self._slow = np.zeros(len(self.names), dtype=np.int64)  # touches without bouncing
+        self._hit = np.zeros(len(self.names), dtype=bool)  # collided at this instant
         self.crowds_refused = False
         self.record = Recorder(model, data, ModeIntervals(model, contact_names, limit_names))
         if starts:
@@ -120,33 +123,32 @@ class Instant:
             check_start(model, data, self.dynamics, state, self.names, extent, left)
             if self.shapes:
                 self.shapes.start(state.q, state.v, START_ROUNDING, left)
-            self._tell_modes()
+            self._record_modes()
 
-    def _tell_modes(self) -> None:
+    def _record_modes(self) -> None:
         work = self.dynamics.work
         self.record.modes.update(self.state.t, work.modes, work.drive_side)
 
     def note(self, text: str) -> None:
-        """Tell of something, at the present time."""
+        """Add a note at the present time to the record."""
         self.record.notes.append(Note(self.state.t, text))
 
     # ---- impacts
 
     def settle(self, arriving: Arriving = None, starting: bool = False) -> None:
-        """Resolve the impacts of this instant, then let contacts rest, slip or open as their forces demand.
+        """Resolve the impacts of this instant, then set the contact modes. (theory.md, 11 and 14)
 
-        All that touches and feels what collides takes part, by the scene's policy; until nothing approaches
-        faster than the resting speed.
+        Impacts are resolved by the scene's policy until no contact approaches faster than the resting speed.
 
         Args:
             arriving: The contacts or limit whose gap is known to close now.
-            starting: Whether the motion starts now, so that all that touches has just closed its gap.
+            starting: Whether the motion starts now: the gaps of all touching contacts have just closed.
 
         Raises:
-            SimulationError: Impacts do not end, or neither forces nor impulses are found.
+            SimulationError: The impacts do not end, or neither forces nor impulses are found.
         """
         where, slow, work = self._where, self._slow, self.dynamics.work
-        # an approach that the error of a step explains is no impact; modes take it away
+        # approaches within the error of a step are not impacts; the modes remove them
         work.least_approach = min(self.dynamics.error(self.state.v), work.resting_speed)
         where[:] = APART
         if arriving is not None:
@@ -190,22 +192,22 @@ class Instant:
         self._keep(resolved)
 
     def _refuse_crowd(self) -> None:
-        """Refuse to go on where so much touches, in so many islands, that time steps are cheaper by far."""
+        """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
         contacts = np.flatnonzero(self._where[: self.dynamics.work.contacts] != APART)
         if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch")
 
     def collide(self, touching: float, slowest: float, unresolved: float, pressed: Bools | bool) -> None:
-        """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.
+        """Resolve the impacts at the end of a time step.
 
-        What parts is open, and takes no part in impacts of others, unless a step presses it: rates of what
-        stays closed vanish only at the ends of steps.
+        Contacts that separate take no part in the impacts of others, unless they have an impulse in the step
+        that ends here: the velocities of active contacts vanish only at the ends of steps.
 
         Args:
-            touching: The distance [m].
-            slowest: The speed [m/s].
-            unresolved: See `SceneImpacts`.
-            pressed: (n + nl,) which contacts and limits the step that ends here presses; False: none.
+            touching: Largest gap of a contact that takes part [m].
+            slowest: Speed of approach above which a contact collides [m/s].
+            unresolved: Error of velocities that is acceptable [m/s], see `SceneImpacts.unresolved`.
+            pressed: (n + nl,) whether each contact or limit has an impulse in that step; False: none has.
         """
         self._hit[:] = False
         self._impacts.unresolved = unresolved
@@ -224,21 +226,21 @@ class Instant:
         self._keep(resolved)
 
     def approach(self, q: Array, v: Array, touching: float) -> Array:
-        """Return the rates (n + nl,) of what is nearer than a distance [m] in a state; of others infinity."""
+        """Return the gap rates (n + nl,) [m/s] where the gap is at most `touching` [m], else infinity."""
         gaps, rates = self.dynamics.gaps_at(q, v).T
         near = gaps <= touching
         near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
         return np.where(near, rates, math.inf)
 
     def _without_forces(self, v: Array, jammed: int) -> list[dict[str, Any]]:
-        """Resolve the impact without collision where no forces hold what touches.
+        """Resolve an impact without collision where no admissible contact forces exist. (theory.md, 13)
 
         Args:
-            v: (nv,) velocity before modes were looked for.
-            jammed: The contact that drives the surface in by itself, or −1.
+            v: (nv,) velocity before the modes were set.
+            jammed: Contact that alone has a negative normal acceleration, or −1.
 
         Returns:
-            Fields of records; none if nothing comes of it.
+            Fields of the impact records; empty if there is no such impact.
         """
         touching = self._closed(self._slow)
         slips = self._slipping(touching)
@@ -262,7 +264,7 @@ class Instant:
         return self._take_over_group(group)
 
     def _closed(self, chosen: Integers) -> list[int]:
-        """Return those of contacts and limits that are chosen and not held."""
+        """Return the numbers of the chosen contacts and limits, without held contacts."""
         contacts, bilateral = len(self.dynamics.contacts), self.dynamics.work.bilateral
         return [i for i in np.flatnonzero(chosen).tolist() if i >= contacts or not bilateral[i]]
 
@@ -270,14 +272,14 @@ class Instant:
         return ", ".join(self.names[i] for i, is_chosen in zip(touching, chosen, strict=True) if is_chosen)
 
     def _slipping(self, touching: list[int]) -> Bools:
-        """Return which of what touches slips, as modes were last looked for."""
+        """Return which of the touching contacts and limits slip, when the modes were last set."""
         slips = np.zeros(len(touching), dtype=bool)
         contacts = [i for i in touching if i < self.dynamics.work.contacts]
         slips[: len(contacts)] = self.dynamics.work.slips[contacts] != 0
         return slips
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
-        """Resolve one impact; return the fields of its record."""
+        """Resolve the impact of a single contact or limit; return the fields of its record."""
         impact = self._impacts.resolve(self.state.t, self.state.q, self.state.v, i, approach)
         for text in impact.notes:
             self.note(text)
@@ -286,14 +288,17 @@ class Instant:
         return self._take_over(i, impact)
 
     def _strike(self, i: int, approach: float, before: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        """Resolve the impact of what collides, with all that feels it; return the fields of records.
+        """Resolve the impact of a contact or limit, together with all that are coupled to it.
 
-        Impacts one after another may have no end; then their limit is taken.
+        If impacts follow one another without end, their limit is taken. (14.8)
 
         Args:
             i: The contact or limit that collides.
             approach: Its speed of approach [m/s].
             before: The impacts of this instant so far.
+
+        Returns:
+            The fields of the impact records.
 
         Raises:
             SimulationError: It still approaches after the limit.
@@ -315,7 +320,7 @@ class Instant:
         return self._take_over_group(impact)
 
     def _collide_together(self, first: int, touching: list[int]) -> list[dict[str, Any]]:
-        """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
+        """Resolve an impact at several contacts; return the fields of its records, none if one takes part."""
         if len(touching) < 2 or not self._impacts.together:
             return []
         refuse = self.crowds_refused
@@ -325,23 +330,23 @@ class Instant:
         return self._take_over_group(impact)
 
     def _take_over_group(self, impact: GroupImpact) -> list[dict[str, Any]]:
-        """Take over the velocity after an impact of several; return the fields of records."""
+        """Apply the velocity after an impact at several contacts; return the fields of its records."""
         for text in impact.notes:
             self.note(text)
         if impact.bounded:
             self._warn_of_bound()
-        before, found = self.state.v, []
+        before, records = self.state.v, []
         self.change_velocity(impact.v)
         for source, place, resting, make in impact.struck:
             self._where[source] = STRUCK
             if resting:
                 self._note_rest(source)
             fields = self._fields(source, before, make, resting)
-            found.append(fields | {"group": (impact.group, place)})
-        return found
+            records.append(fields | {"group": (impact.group, place)})
+        return records
 
     def _warn_of_bound(self) -> None:
-        """Warn once per run that an impact is approximate; its note has been made."""
+        """Warn once per run that an impact is approximate; the last note describes it."""
         if not self.record.bound_reached:
             self.record.bound_reached = True
             text = self.record.notes[-1].text
@@ -358,13 +363,13 @@ class Instant:
         )
 
     def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
-        """Take over the velocity after an impact; return the fields of its record."""
+        """Apply the velocity after an impact at one contact; return the fields of its record."""
         before = self.state.v
         self.change_velocity(impact.v)
         return self._fields(i, before, impact.contact_space, impact.resting)
 
     def _fields(self, i: int, before: Array, contact_space: Any, resting: bool) -> dict[str, Any]:
-        """Return the fields of the record of an impact that led from a velocity (nv,) to the present one."""
+        """Return the fields of the record of an impact that changed the velocity from `before` (nv,)."""
         contacts, touches = self.dynamics.contacts, i < len(self.dynamics.contacts)
         return {
             "time": self.state.t,
@@ -384,25 +389,28 @@ class Instant:
         self.record.impacts += [ImpactRecord(**fields, simultaneous=several) for fields in resolved]
 
     def change_velocity(self, v: Array) -> None:
-        """Go on with another velocity, and count the kinetic energy that it brings."""
+        """Replace the velocity (nv,), and add the change of kinetic energy to that of the impacts."""
         energy = self._impacts.kinetic_energy
         self.state.impact_energy += energy(self.state.q, v) - energy(self.state.q, self.state.v)
         self.state.v = v
 
     def resolve_jam(self, singular: float = SINGULAR, leaving: bool = False) -> bool:
-        """Resolve the impact without collision of slip whose forces have no bound, if there is any. (13.3)
+        """Resolve an impact without collision at slip whose forces grow without bound. (theory.md, 13.3)
 
         Args:
-            singular: The part to which the effects of the forces cancel at a singularity.
-            leaving: Whether forces have just left their bounds: if with a determinant that has changed its
-                sign, they have gone through infinity.
+            singular: Relative size to which the effects of the forces cancel at a singularity, see (13.3).
+            leaving: Whether the forces have just left their bounds; if the determinant has changed its sign
+                too, they have passed through infinity.
+
+        Returns:
+            Whether there was such an impact.
         """
         without = leaving or not self.state.forces_found
         work = self.dynamics.work
         unbounded = self.dynamics.forces_unbounded(
             self.state.t, self.state.q, self.state.v, without, singular
         )
-        # within rounding of a singularity the equations have no solution any more, or many
+        # within rounding of a singularity the equations have no solution, or many
         if not unbounded and (singular == SINGULAR or work.forces_unique):
             return False
         modes = work.modes
@@ -422,10 +430,17 @@ class Instant:
         self._keep(resolved)
         return True
 
-    # ---- contacts that stay closed
+    # ---- contact modes
 
     def _set_modes(self, slow: Integers) -> int:
-        """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
+        """Set the modes of the contacts that touch without bouncing.
+
+        Args:
+            slow: (n + nl,) nonzero for these, as `approach` fills it.
+
+        Returns:
+            A contact for which no admissible force exists, or −1.
+        """
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained
         self.dynamics.set_saturation(self.state.q, self.state.v)
@@ -438,14 +453,14 @@ class Instant:
         same = bool((work.modes == before).all())
         work.force_bound_ignored = constrained and same
         if not same or work.driven:
-            self._tell_modes()
+            self._record_modes()
         return -1
 
     def set_modes_ahead(self, step: DenseStep) -> None:
-        """Set the modes that the forces call for just after now, if these are others.
+        """Set the modes that follow from the forces slightly later, on the continuation of a step.
 
-        Where forces leave their bounds without a jump nothing moves yet at that very time, so what begins to
-        move is seen a little later, in the smooth continuation of the step. (theory.md, 11.6)
+        Where forces leave their bounds without a jump, all accelerations are still zero at that time, so the
+        contacts that begin to move can be identified only slightly later. (theory.md, 11.6)
         """
         work = self.dynamics.work
         before = found = work.modes.copy()
@@ -457,7 +472,7 @@ class Instant:
             jammed, _, _ = self.dynamics.set_modes(self.state.t + ahead, q, v, self._slow)
             modes = work.modes.copy()
             changed = jammed < 0 and (modes != before).any()
-            # of what begins together one may show before the other: the same modes twice are those
+            # contacts that begin to move together may show one after the other: accept modes found twice
             certain = changed and bool((modes == found).all())
             found = modes if changed else before
             ahead *= 4.0
@@ -467,10 +482,10 @@ class Instant:
             self._set_modes(self._slow)
             return
         work.force_bound_ignored = False
-        self._tell_modes()
+        self._record_modes()
 
     def correct_constraint_drift(self) -> None:
-        """Bring the closed contacts back onto their surfaces, in position and in velocity."""
+        """Correct constraint drift of the active contacts in position and velocity. (12.1)"""
         self.state.q, self.state.v = self.state.q.copy(), self.state.v.copy()
         self.state.impact_energy += self.dynamics.correct_constraint_drift(
             self.state.t, self.state.q, self.state.v
@@ -478,5 +493,5 @@ class Instant:
 
 
 def _last(resolved: list[dict[str, Any]]) -> str:
-    """Return the names of what the last impacts were at."""
+    """Return the names of the contacts and limits of the last impacts."""
     return ", ".join(repr(fields["source"]) for fields in resolved[-LAST:])

@@ -1,4 +1,7 @@
-"""The integrator of a motion: smooth steps up to the next event, and what changes there."""
+"""Event-driven integration: smooth steps up to the next event, then impacts and new contact modes.
+
+The methods are in theory.md, sections 8 to 12; docs/architecture.md describes the loop.
+"""
 
 from __future__ import annotations
 
@@ -39,41 +42,40 @@ Report = Callable[[float, float], None]
 """report(t, duration), called after every step."""
 
 HIGH_ORDER = 10
-"""Steps for which a low order is not tried again where it has not been accurate enough."""
+"""Number of steps before a lower order is tried again after its error was too large."""
 
 SEEN_EVERY = 0.25
-"""The part of the scene's time scale after which functions of the user's own are asked again: a smooth force
-that comes after a long time without one is seen, unless it is over within some hundredth of that scale."""
+"""Longest interval between evaluations of user functions, relative to the scene's time scale: a smooth force
+that sets in after a long rest is detected, unless it lasts less than about a hundredth of that scale."""
 
 BEYOND = 1.3
-"""No step is taken beyond so many times a bounce that has just begun, or what is left of a slip."""
+"""Longest step, relative to the predicted duration of a bounce that has begun, or of a slip that ends."""
+
+UNCHANGED = 0.1
+"""Ratio of the errors of two successive trial steps above which the error has not decreased with the step
+size: by the order of the methods, halving the step reduces it further."""
 
 
-def _continued(
-    kind: type[Integrator], made_of: tuple[Any, ...], state: HybridState, record: tuple[Any, ...]
+def _restore(
+    kind: type[Integrator], arguments: tuple[Any, ...], state: HybridState, record: tuple[Any, ...]
 ) -> Integrator:
     """Return an integrator that continues from a state and a record."""
-    scene, q0, v0, options = made_of
+    scene, q0, v0, options = arguments
     integrator = kind(scene, q0, v0, options, state)
-    integrator.record.take(record)
+    integrator.record.restore(record)
     integrator.reached = integrator.mark()
     return integrator
 
 
-UNCHANGED = 0.1
-"""Part of the error of a longer step above which it has not fallen with the length; by the order of the
-methods it falls to less in a step of half that length."""
-
-
 class Integrator:
-    """A motion under way, from q0 (nq,) and v0 (nv,) or continued from a state.
+    """A motion that starts at q0 (nq,) and v0 (nv,), or continues from a state.
 
     Attributes:
         state: The present state.
-        record: What there is to tell of the motion.
-        instant: What changes the state at one instant.
-        dynamics, work: The dynamics, and their workspace.
-        reached: How far the record was consistent last, and the state then.
+        record: The record of the motion so far.
+        instant: Resolves impacts and sets contact modes at one instant.
+        dynamics, work: The smooth dynamics, and the workspace of their kernels.
+        reached: Length of the record and state at the last time at which both were consistent.
     """
 
     def __init__(
@@ -81,12 +83,12 @@ class Integrator:
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"scene: {type(scene).__name__} given; a Scene is expected", value=scene)
-        self._made_of = scene, q0, v0, options
+        self._arguments = scene, q0, v0, options
         self.scene, self.options, without = scene, options.checked(), scene.without
         model = self.model = altered_model(scene.model, without)
         layout = scene.layout()
         self.data = layout.data_for(self, model)
-        self.state = state_at(model, self.data, q0, v0) if state is None else state.kept(memory=None)
+        self.state = state_at(model, self.data, q0, v0) if state is None else state.copy(memory=None)
         self.instant = Instant(scene, model, self.data, self.state, state is None, self.options.dt)
         self.record, self.dynamics = self.instant.record, self.instant.dynamics
         self.shapes = self.instant.shapes
@@ -121,19 +123,19 @@ class Integrator:
         self.reached = self.mark()
 
     def _prepare(self) -> None:
-        """Prepare what the scheme needs."""
+        """Initialize data of the scheme; subclasses override this."""
 
     def _continue_with(self, state: HybridState) -> None:
-        """Take over what kernels have changed in place in another motion."""
+        """Restore the workspace of the kernels from `state.memory`."""
         if state.memory is not None:
             values, directions = state.memory
             self.work.set_values(values)
             self.shapes.continue_with(directions)
 
     def value(self) -> HybridState:
-        """Return the whole state as a value, for a copy of the motion, a file, or a comparison."""
+        """Return the complete state, including the workspace, for copies, pickling and comparison."""
         directions = self.shapes.directions
-        return self.state.kept(memory=(self.work.values(), None if directions is None else directions.copy()))
+        return self.state.copy(memory=(self.work.values(), None if directions is None else directions.copy()))
 
     def copy(self) -> Integrator:
         """Return an independent motion in the same state."""
@@ -142,14 +144,18 @@ class Integrator:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the scene, the state and the record; workspaces and addresses are rebuilt."""
-        return _continued, (type(self), self._made_of, self.value(), self.record.values())
+        return _restore, (type(self), self._arguments, self.value(), self.record.values())
 
     def mark(self) -> tuple[Mark, HybridState]:
-        """Return how far the record has come, and the state; an interrupt or a refusal falls back to it."""
-        return self.record.mark(), self.state.kept()
+        """Return the length of the record and the state, to return to after an interrupt or an error."""
+        return self.record.mark(), self.state.copy()
 
     def begin(self, tau: Array | None = None) -> None:
-        """Let what happens at the start happen, and begin to move, under a constant force (nv,) if given."""
+        """Process the impacts and events at the start and begin the smooth motion.
+
+        Args:
+            tau: (nv,) constant generalized force, or None.
+        """
         if self.sampled is not None:
             tau = self.sampled.at(self.state.t, self.state.q, self.state.v)
         if tau is not None:
@@ -157,12 +163,12 @@ class Integrator:
         if self.state.overlap is not None:
             raise IrregularMotionError(self.state.overlap, field="q0")
         self.instant.settle(starting=True)
-        self._let_events_happen()
+        self._trigger_events()
         self._begin_motion()
         self.state.length = self.dynamics.first_length()
 
     def advance(self, until: float, report: Report | None = None) -> None:
-        """Move on to a time [s], or until an event ends the motion; `report` is called after every step."""
+        """Advance to a time [s], or until an event ends the motion; `report` is called after every step."""
         state, sampled = self.state, self.sampled
         while state.t < until and state.ended_by is None:
             stop = until
@@ -180,7 +186,7 @@ class Integrator:
                     self.hold_force(tau)
 
     def hold_force(self, tau: Array) -> None:
-        """Let a constant force (nv,) act from now on in place of the one that did."""
+        """Replace the constant generalized force (nv,) from the present time on."""
         if tau.tobytes() == self.work.control_force.tobytes():
             return
         self.work.control_force[:] = tau
@@ -189,15 +195,15 @@ class Integrator:
             self._settle_and_begin()
 
     def resume(self) -> None:
-        """Go on where an event may have ended the motion; `max_impacts` counts from here."""
+        """Continue a motion that an event may have ended, and restart the count for `max_impacts`."""
         self.state.struck = 0
         if self.state.ended_by is not None:
             self.state.ended_by = None
             self._settle_and_begin()
 
     def trajectory(self, termination: str, complete: bool) -> Trajectory:
-        """Return the motion until now, as far as it is consistent."""
-        (mark, state), made_of = self.reached, self._made_of
+        """Return the trajectory up to the last consistent state."""
+        (mark, state), arguments = self.reached, self._arguments
         contacts = self.instant.names[: self.work.contacts]
         return self.record.trajectory(
             mark,
@@ -211,7 +217,7 @@ class Integrator:
                 "evaluations": self.work.evaluations,
             },
             sources=self.sources,
-            forces=EvaluatedForces(lambda: Integrator(*made_of).dynamics, contacts),
+            forces=EvaluatedForces(lambda: Integrator(*arguments).dynamics, contacts),
             contacts=(*self.scene.contacts, *self.scene.held),
             coordinates=coordinate_names(self.model),
             stepped=state.stepped,
@@ -222,7 +228,7 @@ class Integrator:
         self.record.samples.append((state.t, state.q, state.v, state.works, state.impact_energy))
 
     def _begin_motion(self) -> None:
-        """Begin a smooth motion at the present state."""
+        """Evaluate the smooth dynamics at the present state, from which the next step starts."""
         state, work = self.state, self.work
         if state.touching:
             self.shapes.review()
@@ -236,15 +242,21 @@ class Integrator:
         state.closed = ClosedSet.of(work, self.shapes.swapped())
 
     def _step(self, h: float, stop: float, scale: float) -> float:
-        """Take one accepted step, or a part of it up to an event; return the length to try next.
+        """Take one accepted step, or its part up to the first event.
 
-        The length to try is h; it ends at `stop` at the latest. `progress.STALLED` is a part of `scale` [s].
+        Args:
+            h: Step size to try [s].
+            stop: Latest end of the step [s].
+            scale: Time to which the limit `STALLED` of progress is relative [s].
+
+        Returns:
+            The step size to try next [s].
         """
         state, work, t = self.state, self.work, self.state.t
-        found = self.progress.stalled(scale) or self._compute(h, stop - t)
-        if isinstance(found, IrregularMotionError):
-            return self._jam_or_refuse(found)
-        trial, natural, directions = found
+        outcome = self.progress.stalled(scale) or self._compute(h, stop - t)
+        if isinstance(outcome, IrregularMotionError):
+            return self._resolve_jam_or_raise(outcome)
+        trial, natural, directions = outcome
         state.steps += 1
         if self.dynamics.constrained:
             self.progress.check_drift()
@@ -276,15 +288,20 @@ class Integrator:
         return max(longer, natural) if state.cut_short else longer
 
     def _compute(self, h: float, left: float) -> tuple[float, float, Array | None] | IrregularMotionError:
-        """Compute a step whose error is small enough, from a length to try, h, and no longer than `left` [s].
+        """Compute a step whose error is within the tolerances.
+
+        Args:
+            h: Step size to try [s].
+            left: Largest step size [s].
 
         Returns:
-            Its length, the length to go on with if it ends early, and the directions of slip; or why no step
-            is short enough.
+            The step size, the step size to try next if an event cuts the step, and the directions of slip at
+            its start and end; or the error to raise if no step size is small enough.
         """
         state, work, t = self.state, self.work, self.state.t
-        ends = BEYOND * work.slip_ends if self._continuous is None else math.inf  # refusals tell of its jumps
-        natural, h, before = h, min(h, self.max_step, state.bounce, ends), math.inf
+        # rejected steps show where a continuous control jumps, so the end of slip does not limit them
+        ends = BEYOND * work.slip_ends if self._continuous is None else math.inf
+        natural, h, previous_error = h, min(h, self.max_step, state.bounce, ends), math.inf
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
@@ -306,11 +323,11 @@ class Integrator:
                     state.low_orders_from = (*higher, later, later)[:2]
                 else:
                     natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
-                    # what settles within the step misses as much in one a little shorter; directions of slip
-                    # may settle in no time, and implicit steps have them as unknowns
-                    if error > UNCHANGED * before and work.drive_rate > 0.0:
+                    # a transient of the drives that decays within the step leaves the same error in slightly
+                    # shorter steps: go to the step size at which the explicit method resolves it
+                    if error > UNCHANGED * previous_error and work.drive_rate > 0.0:
                         natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
-                    before = error
+                    previous_error = error
                 continue
             if not self.instant.rims.jump(work.q0, work.q1):
                 slips = state.closed is not None and state.closed.slips
@@ -322,13 +339,13 @@ class Integrator:
             h = 0.5 * trial
 
     def _method(self, h: float) -> ModuleType:
-        """Return the method for a step of a length [s]."""
+        """Return the module of the integration method for a step size h [s]."""
         work = self.work
         stiff = h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF
         return step_radau if stiff else step_dop853
 
     def _complete(self, step: DenseStep, end: float) -> None:
-        """Let a step end where it does, without an event; go on from there."""
+        """Accept a step without an event: advance the state to its end and correct constraint drift."""
         state, work = self.state, self.work
         state.works = state.works + step.coefficients[0, -WORKS:]
         state.t = step.end = end
@@ -340,48 +357,49 @@ class Integrator:
             work.drift_at_end > self.drift_tolerance or work.force_bound_ignored
         ):
             if work.force_bound_ignored:
-                self._note_beyond(-work.end_margin)
+                self._note_violated_bounds(-work.end_margin)
                 self._settle()
             else:
                 self.instant.correct_constraint_drift()
             self._begin_motion()
         self._sample()
 
-    def _note_beyond(self, excess: float) -> None:
-        """Tell of forces beyond their bounds, by more than the tolerance leaves unknown, once."""
-        unknown = self.work.rtol * np.abs(self.work.solution).max(initial=0.0)
-        if self.work.forces_unique and excess > unknown and not self.state.forces_beyond:
+    def _note_violated_bounds(self, excess: float) -> None:
+        """Note once that forces exceed their bounds by more than the tolerance."""
+        tolerance = self.work.rtol * np.abs(self.work.solution).max(initial=0.0)
+        if self.work.forces_unique and excess > tolerance and not self.state.forces_beyond:
             self.state.forces_beyond = True
             beyond = f"Contact forces exceed the bounds of the contact modes by {excess:.3g} N or N m"
             if math.isinf(excess):
                 beyond = "Slip in these contact modes has a negative normal acceleration"
-            self._report_beyond(f"{beyond}, and no other modes were found")
+            self._report_violation(f"{beyond}, and no other modes were found")
 
-    def _report_beyond(self, text: str) -> None:
-        """Note that forces are not those of Coulomb's law."""
+    def _report_violation(self, text: str) -> None:
+        """Note that the forces violate Coulomb's law."""
         self.instant.note(f"{text}: the motion may be wrong here; near Painlevé's paradox there may be none.")
 
     def _arriving(self) -> int | None:
-        """Return the contact or, past those, the limit that arrives at the event last found, or None."""
+        """Return the number of the contact or limit whose gap closes at the event last located, or None."""
         event = EVENTS[self.work.event_kind]
         if event.CONSEQUENCE != ARRIVAL:
             return None
         return self.work.event_index + (0 if event is gap else self.work.contacts)
 
-    def _jam_or_refuse(self, refusal: IrregularMotionError) -> float:
-        """Resolve the jam of slip whose forces grow until no step is short enough; return the length to try.
+    def _resolve_jam_or_raise(self, error: IrregularMotionError) -> float:
+        """Resolve an impact without collision near a singularity; return the step size to try next [s].
 
-        Raises the refusal where it is none.
+        Raises:
+            IrregularMotionError: `error`, if there is no such impact.
         """
         if not self.instant.resolve_jam(NEARLY_SINGULAR):
-            raise refusal
+            raise error
         self.progress.mark()
         self._settle_and_begin()
         self._sample()
         return self.dynamics.first_length()
 
     def _cut(self, step: DenseStep, t: float) -> None:
-        """Let a step end at a time in it."""
+        """End a step at a time t [s] within it, and advance the state to there."""
         state = self.state
         step.end = state.t = t
         state.q, state.v = step.at(t)
@@ -389,12 +407,18 @@ class Integrator:
         self._sample()
 
     def _correct_drift(self) -> None:
-        """Bring closed contacts back onto their surfaces, if they are off by more than the tolerance."""
+        """Correct constraint drift if it exceeds the tolerance. (theory.md, 12)"""
         if self.work.drift_at_end > self.drift_tolerance:
             self.instant.correct_constraint_drift()
 
     def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
-        """End a step at an event of the user's."""
+        """End a step at a user event.
+
+        Args:
+            step: The step.
+            interruption: The event.
+            arriving: Number of the contact or limit whose gap closes at the same time, or None.
+        """
         state = self.state
         self._cut(step, interruption.time)
         self._restart_after(interruption)
@@ -404,13 +428,13 @@ class Integrator:
             self._sample()
 
     def _restart_after(self, interruption: Interruption) -> None:
-        """Take over the velocity that an event has set, and whether it ends the run."""
+        """Apply the velocity that a user event has set, and whether it ends the motion."""
         if interruption.velocity is not None:
             self.instant.change_velocity(interruption.velocity)
         self.state.ended_by = interruption.ended_by
 
-    def _let_events_happen(self) -> None:
-        """Let the events happen whose guards an instant has taken to the other sign."""
+    def _trigger_events(self) -> None:
+        """Trigger the user events whose guards have changed sign at this instant."""
         state = self.state
         while self.events and state.ended_by is None:
             interruption = self.events.at_instant(state.t, state.q, state.v)
@@ -421,7 +445,7 @@ class Integrator:
                 self._settle_contacts()
 
     def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> None:
-        """End a step at an event and deal with it: something arrives, or else modes change."""
+        """End a step at an event: a gap closes (`arriving`), or the modes change."""
         self._cut(step, t)
         self._correct_drift()
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
@@ -430,31 +454,31 @@ class Integrator:
         if arriving is None:
             self.instant.resolve_jam(leaving=bounded)
         self._settle_and_begin(arriving)
-        # forces that a correction has brought back into their bounds leave them again soon
+        # the drift correction may have moved the forces back inside their bounds, which they leave again soon
         if bounded and self.work.force_bound_ignored:
             self.instant.set_modes_ahead(step)
-            self._begin_motion()  # with the forces by which the modes were found, if those ahead are the same
+            self._begin_motion()
         self._sample()
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
-        """End a step where two shapes touch, or touch elsewhere."""
+        """End a step where the points of contact of two shapes change."""
         self._cut(step, meeting.time)
         self._correct_drift()
         self._settle_and_begin(self.shapes.meet(meeting, step) or None)
         self._sample()
 
     def _settle_and_begin(self, arriving: Arriving = None) -> None:
-        """Let this instant settle, and begin the smooth motion after it."""
+        """Resolve this instant, then begin the smooth motion after it."""
         self._settle(arriving)
         self._begin_motion()
 
     def _settle(self, arriving: Arriving = None) -> None:
-        """Let impacts, modes and the user's events of this instant settle."""
+        """Resolve the impacts, contact modes and user events of this instant."""
         self._settle_contacts(arriving)
-        self._let_events_happen()
+        self._trigger_events()
 
     def _settle_contacts(self, arriving: Arriving = None) -> None:
-        """Let impacts and modes of this instant settle, at no more instants than may have impacts."""
+        """Resolve the impacts and contact modes of this instant, and count it for `max_impacts`."""
         before = len(self.record.impacts)
         self.instant.settle(arriving)
         if self.instant.resolve_jam():

@@ -1,4 +1,4 @@
-"""Trees of joints, and the islands into which contacts connect them."""
+"""Kinematic trees, and the islands that contacts form of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..arrays import Integers
 
 
 def tree_roots(model: pin.Model) -> Integers:
-    """Return the first joint (njoints,) of the tree of each joint; 0 of the world."""
+    """Return the root joint (njoints,) of the tree of each joint; 0 for the world."""
     roots = np.arange(model.njoints)
     for joint, parent in enumerate(model.parents):
         if parent > 0:
@@ -18,9 +18,11 @@ def tree_roots(model: pin.Model) -> Integers:
 
 
 def islands(roots: Integers, ends: Integers) -> Integers:
-    """Return numbers (njoints,) of the islands into which contacts connect trees; the world connects none.
+    """Return the island (njoints,) of each tree root; contacts with the world connect nothing.
 
-    For roots see `tree_roots`; ends (k, 2) are those of what each contact is between.
+    Args:
+        roots: (njoints,) see `tree_roots`; only its length is used.
+        ends: (k, 2) roots of the two trees of each contact, 0 for the world.
     """
     island = np.arange(len(roots))
     for a, b in ends[(ends > 0).all(axis=1)].tolist():

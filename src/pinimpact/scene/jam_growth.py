@@ -1,4 +1,4 @@
-"""Where no forces let contacts slip on: how their indentations grow by themselves. (theory.md, 13)"""
+"""Impacts without collision: growth of indentations where no admissible forces exist. (theory.md, 13.2)"""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from ..arrays import Array, Bools
 from ._kernels.tolerances import NEGLIGIBLE
 
 MOST_CHOSEN = 12
-"""Contacts of which all choices of some are tried."""
+"""Largest number of contacts of which all subsets are tried."""
 
 
 def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: Bools) -> float:
-    """Return by what factor, at least 1, friction is to be larger for forces to have no bound; inf for none.
+    """Return the factor s* ≥ 1 of friction at which the forces grow without bound, or infinity. (13.1)
 
-    Velocities (n, 3), coefficients (n,), and which of them slip (n,), are those of the closed contacts.
+    Args:
+        delassus: (3n, 3n) Delassus matrix of the active contacts.
+        velocity: (n, 3) their velocities [m/s].
+        friction: (n,) coefficients of friction.
+        slips: (n,) whether each slips.
     """
     rows, along = _slipping_rows(velocity, friction, slips)
     of_rows = delassus[rows]
@@ -35,10 +39,11 @@ def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: Bo
 def growing_indentations(
     delassus: Array, velocity: Array, friction: Array, slips: Bools, stiffness: Array
 ) -> Array | None:
-    """Return in which proportions (n,) indentations grow by themselves, the largest 1; None if they do not.
+    """Return the relative indentations (n,) that grow fastest, with maximum 1, or None if none grow.
 
-    Those of the fastest growth at which nothing pulls, of what is indented then. Where those of all can but
-    swing, some may grow and lift the others. Arguments as in `friction_of_jam`, and the stiffnesses (n,).
+    Contacts that would pull are released one after the other. If those left do not grow, subsets are tried
+    that grow while they lift the others. (theory.md, 13.2, steps 2 and 3) Arguments are those of
+    `friction_of_jam`, and the stiffnesses (n,).
     """
     numbers = delassus, velocity, friction, slips, stiffness
     count = len(velocity)
@@ -76,10 +81,10 @@ def _fastest_growth(
     slips: Bools,
     stiffness: Array,
 ) -> tuple[Array, Array] | None:
-    """Return the normal forces with which indentations of active contacts grow fastest by themselves.
+    """Return the normal forces of the fastest growing indentations of active contacts, or None if none grow.
 
-    Those add up to more than zero, and the largest is 1 or −1; also returned is how fast they move all (n,)
-    contacts along their normals. None if those indentations do not grow.
+    The forces have a positive sum, and the largest magnitude is 1. Also returned are the normal accelerations
+    (n,) of all contacts under these forces.
     """
     places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
     rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
@@ -87,7 +92,7 @@ def _fastest_growth(
     system = part[rows][:, rows] - part[rows] @ along
     normal = np.array(rows) % 3 == 2
     held = system[np.ix_(~normal, ~normal)]
-    answer = np.zeros((int((~normal).sum()), len(active)))  # of what sticks, whose tangential rows are held
+    answer = np.zeros((int((~normal).sum()), len(active)))  # tangential forces of the sticking contacts
     if held.size:
         answer = -np.linalg.pinv(held, rcond=NEGLIGIBLE, hermitian=True) @ system[np.ix_(~normal, normal)]
     pressed = system[np.ix_(normal, normal)] + system[np.ix_(normal, ~normal)] @ answer
@@ -110,14 +115,17 @@ def _fastest_growth(
 
 
 def _indentations(active: Sequence[int], forces: Array, stiffness: Array) -> Array:
-    """Return the indentations (n,) that go with normal forces of active contacts, the largest 1."""
+    """Return the indentations (n,), with maximum 1, of the normal forces of active contacts."""
     indentations = np.zeros(len(stiffness))
     indentations[list(active)] = np.maximum(forces, 0.0) / stiffness[list(active)]
     return np.array(indentations / indentations.max())
 
 
 def _slipping_rows(velocity: Array, friction: Array, slips: Bools) -> tuple[list[int], Array]:
-    """Return which rows of contacts are held, and per held row the friction against it, (3n, rows)."""
+    """Return the active rows, and the friction (3n, rows) per unit of each row's force.
+
+    A slipping contact has its normal row only, a sticking one three rows.
+    """
     rows, columns = [], []
     for i, (x, y, _) in enumerate(velocity.tolist()):
         for d in (2,) if slips[i] or friction[i] == 0.0 else range(3):

@@ -1,4 +1,4 @@
-"""When a motion makes no progress, gains energy from friction or has too many impacts."""
+"""Checks of a motion: lack of progress, constraint drift, energy gained by friction, number of impacts."""
 
 from __future__ import annotations
 
@@ -17,38 +17,45 @@ from .instant import Instant
 from .options import Options
 
 MAX_STALLED = 200
-"""Steps without progress after which a simulation gives up."""
+"""Number of steps without progress after which a simulation stops."""
 
 WHOLE = 0.999
-"""Part of a step that is covered if no event ends it: the end of a run rounds its length."""
+"""Least covered part of a step that no event ends; less than 1, since the end of a run is rounded."""
 
 BY_EVENTS = 0.5
-"""Part of the steps that end at an event from which it is events that make steps short, and no control."""
+"""Fraction of steps that end at events from which on events, and not a control, make the steps short."""
 
 RUBBING = slice(1, 3)
-"""Which of the works are those of friction, in joints and in contacts: it takes energy."""
+"""Entries of the work vector that are dissipation by friction, in joints and in contacts."""
 
 DRIFTED = 1e4
-"""By how much closed contacts may drift in a step, in parts of the tolerance of its length: in random scenes
-it is less than two of them, some hundred where a joint and a contact hold nearly the same motion."""
+"""Largest constraint drift in a step, relative to the tolerance of positions: in random scenes the ratio is
+below 2, and about 100 where a joint and a contact constrain nearly the same motion."""
 
 GAINED = 10.0
-"""Factor on the relative error of velocities: the part of the kinetic energy that friction may give."""
+"""Largest part of the kinetic energy that friction may add, relative to the relative error of velocities."""
 
 ROLLING = 2.0
-"""Friction of what sticks and rolls, in parts of the weight and of what controls and drives press with: over
-the error of velocities it does work that grows with time and is no gain. A point that rolls has two of them,
-that of the body and that by its turning. In one step, friction may give what its own impulse does over that
-error."""
+"""Friction of sticking and rolling contacts, relative to the weight plus the forces of controls. Acting over
+the error of velocities it does work that grows with time without being a gain. A rolling point has two such
+errors: of the velocity of the body, and of its rotation."""
 
 
 def ended(instant: Instant, count: int) -> int:
-    """Return how many of the last steps, a number of them, have ended at an event."""
+    """Return how many of the last `count` steps have ended at an event."""
     return sum(step.end - step.start < WHOLE * step.h for step in instant.record.dense_steps[-count:])
 
 
 class Progress:
-    """Watches over a motion, of a size [m] and time scale [s]; `jumps` if it has a control that may jump."""
+    """Checks of a motion.
+
+    Args:
+        model: The model.
+        options: Tolerances, and the largest number of impacts.
+        instant: Holds the state, the record and the dynamics.
+        sizes: Size [m] and time scale [s] of the scene.
+        jumps: Whether there is a control that may be discontinuous.
+    """
 
     def __init__(
         self, model: pin.Model, options: Options, instant: Instant, sizes: tuple[float, float], jumps: bool
@@ -62,12 +69,16 @@ class Progress:
         self._tolerance = options.rtol * extent + options.atol
 
     def mark(self) -> None:
-        """Note that there is progress."""
+        """Restart the check of progress at the present state."""
         state = self._state
         state.marked = state.steps, state.t, state.v
 
     def stalled(self, scale: float) -> IrregularMotionError | None:
-        """Return why not to continue where steps make no progress, or None; `STALLED` is a part of scale."""
+        """Return an error if the last `MAX_STALLED` steps made no progress, else None.
+
+        Args:
+            scale: Time to which `STALLED` is relative [s].
+        """
         state, (steps, then, velocity) = self._state, self._state.marked
         count = state.steps - steps
         if count <= MAX_STALLED:
@@ -75,7 +86,7 @@ class Progress:
         covered, t = state.t - then, state.t
         dynamics = self._instant.dynamics
         moved, fastest = dynamics.fastest(state.v - velocity), dynamics.fastest(velocity)
-        # at rest velocities change by errors alone, which are small beside those of the scene's scales
+        # at rest, velocities change only by errors, which are small relative to the scales of the scene
         stays = covered < PROGRESS * self._time_scale and moved <= PROGRESS * max(fastest, self._speed)
         if self._jumps and stays and ended(self._instant, count) < BY_EVENTS * count:
             return IrregularMotionError(
@@ -94,10 +105,10 @@ class Progress:
         return None
 
     def check_drift(self) -> None:
-        """Refuse a step in which what is closed drifts by far more than the error of a step.
+        """Check that the constraint drift in a step is not far larger than the tolerance.
 
         Raises:
-            IrregularMotionError: See above.
+            IrregularMotionError: It is.
         """
         drift = self._instant.dynamics.work.drift_at_end
         if drift > DRIFTED * self._tolerance:
@@ -107,10 +118,10 @@ class Progress:
             )
 
     def check_friction(self, step: DenseStep, until: float) -> None:
-        """Refuse a step until whose event friction has given energy.
+        """Check that friction adds no energy in a step up to a time [s]. (theory.md, 11.7)
 
         Raises:
-            IrregularMotionError: See above.
+            IrregularMotionError: It does.
         """
         state, work = self._state, self._instant.dynamics.work
         joints, contacts = state.works[RUBBING].tolist()
@@ -135,13 +146,13 @@ class Progress:
             )
 
     def count_impacts(self, before: int) -> None:
-        """Count the instant at which the impacts from a number on have taken place.
+        """Count the present instant for `max_impacts`; `before` is the number of impacts recorded before it.
 
         Raises:
-            SimulationError: There are too many.
+            SimulationError: There are too many instants with impacts.
         """
         state, impacts = self._state, self._instant.record.impacts
-        self.mark()  # `max_impacts` watches over impacts
+        self.mark()  # impacts are bounded by `max_impacts` and not by progress
         state.struck += before == 0 or impacts[before - 1].time < state.t
         if state.struck > self._options.max_impacts:
             last = ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])

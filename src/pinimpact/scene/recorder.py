@@ -1,4 +1,4 @@
-"""What there is to tell of a motion: steps, samples, impacts, events, modes and notes."""
+"""The record of a motion: steps, samples, impacts, events, modes and notes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .trajectory import Trajectory
 
 
 class Mark(NamedTuple):
-    """How far a record had come.
+    """Length of a record, to which it can be cut.
 
     Attributes:
-        lengths: Of `Recorder.lists`.
-        present: The modes then, see `ModeIntervals`.
+        lengths: Lengths of `Recorder.lists`.
+        present: The modes at that time, see `ModeIntervals`.
     """
 
     lengths: tuple[int, ...]
@@ -34,10 +34,10 @@ class Recorder:
 
     Attributes:
         dense_steps, impacts, events, notes: As in the trajectory.
-        samples: Time, q, v, works and impact energy of each sample.
-        modes: The modes of contact.
-        bound_reached, stepping_warned: Whether a `BoundReachedWarning`, a `SteppedWarning` has been given.
-        keeps_steps: Whether what time steps are computed from is kept, for their derivatives.
+        samples: Time, q, v, work and impact energy of each sample.
+        modes: The contact modes.
+        bound_reached, stepping_warned: Whether a `BoundReachedWarning`, a `SteppedWarning` has been issued.
+        keeps_steps: Whether time steps keep the data from which their derivatives are computed.
     """
 
     def __init__(self, model: pin.Model, data: Any, modes: ModeIntervals) -> None:
@@ -52,33 +52,33 @@ class Recorder:
 
     @property
     def lists(self) -> tuple[list[Any], ...]:
-        """All that grows: steps, samples, impacts, events, notes, modes that have ended."""
+        """The lists of the record: steps, samples, impacts, events, notes, mode intervals that have ended."""
         return self.dense_steps, self.samples, self.impacts, self.events, self.notes, self.modes.ended
 
     def mark(self) -> Mark:
-        """Return how far the record has come."""
+        """Return the present length of the record."""
         return Mark(tuple(map(len, self.lists)), self.modes.present)
 
     def cut(self, mark: Mark) -> None:
-        """Return to where the record had come."""
+        """Remove all entries after a mark."""
         for rows, length in zip(self.lists, mark.lengths, strict=True):
             del rows[length:]
         self.modes.return_to(mark.present)
 
     def values(self) -> tuple[Any, ...]:
-        """Return all that is recorded."""
+        """Return the contents of the record, for `restore`."""
         warned = self.bound_reached, self.stepping_warned
         return [rows.copy() for rows in self.lists], self.modes.present, warned
 
-    def take(self, values: tuple[Any, ...]) -> None:
-        """Take `values` of another record of the same scene."""
+    def restore(self, values: tuple[Any, ...]) -> None:
+        """Replace the contents by the `values` of a record of the same scene."""
         lists, present, (self.bound_reached, self.stepping_warned) = values
         for rows, others in zip(self.lists, lists, strict=True):
             rows[:] = others
         self.modes.return_to(present)
 
-    def trajectory(self, mark: Mark, **told: Any) -> Trajectory:
-        """Return the motion until a mark; `told` is what else a `Trajectory` takes."""
+    def trajectory(self, mark: Mark, **others: Any) -> Trajectory:
+        """Return the trajectory up to a mark; `others` are the remaining arguments of `Trajectory`."""
         steps, rows, impacts, events, notes, ended = (
             rows[:length] for rows, length in zip(self.lists, mark.lengths, strict=True)
         )
@@ -98,5 +98,5 @@ class Recorder:
             modes=ended + present,
             energy=Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work),
             notes=notes,
-            **told,
+            **others,
         )

@@ -1,4 +1,4 @@
-"""What is at rest in time steps: it takes no part in them until something moves it. (theory.md, 16)"""
+"""Islands at rest in time steps: they take no part until something moves them. (theory.md, section 16)"""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from .islands import tree_roots
 
 
 class Rest:
-    """The trees of joints that are at rest, island by island, and the forces that hold them.
+    """The kinematic trees at rest, island by island, and the forces on them.
 
     Attributes:
-        tree: (nv,) number of the tree that each velocity belongs to.
-        joints: (nj,) which joints are at rest; the world always is.
+        tree: (nv,) number of the tree of each velocity.
+        joints: (nj,) whether each joint is at rest; the world always is.
     """
 
     def __init__(self, model: pin.Model, work: SceneWorkspace, state: HybridState) -> None:
         self._work, self._state = work, state
         roots = tree_roots(model)
-        self._trees = np.searchsorted(np.unique(roots[1:]), roots)  # of each joint; the world's says nothing
+        self._trees = np.searchsorted(np.unique(roots[1:]), roots)  # of each joint; the world's is unused
         self.tree: Integers = self._trees[work.velocity_joint]
         self.joints = np.arange(model.njoints) == 0
         self._none = np.full(int(self.tree.max()) + 1, -1)
         self.restart()
 
     def restart(self) -> None:
-        """Go on with what rests in the state."""
+        """Restore the trees at rest from the state."""
         if self._state.islands is None:
             self._state.islands = self._none
         self._set_joints()
@@ -40,7 +40,7 @@ class Rest:
 
     @property
     def forces(self) -> StepForces | None:
-        """The forces on what rests."""
+        """The forces on the trees at rest."""
         return self._state.resting_forces
 
     @property
@@ -54,44 +54,44 @@ class Rest:
 
     @property
     def complete(self) -> bool:
-        """Whether everything rests."""
+        """Whether everything is at rest."""
         return bool(self.joints.all())
 
     def begin(self, islands: Integers, forces: StepForces) -> bool:
-        """Let trees come to rest; return whether any does that has not rested.
+        """Set trees at rest; return whether any of them was moving.
 
         Args:
-            islands: (trees,) island of each one that does, −1 for others.
-            forces: Of the step in which they have come to rest, with those on what rested before.
+            islands: (trees,) island of each tree that has come to rest, −1 for others.
+            forces: Forces of the step in which they have come to rest, with those on trees already at rest.
         """
         fresh = (islands >= 0) & (self._islands < 0)
         if not fresh.any():
             return False
         self._state.islands = np.where(fresh, islands, self._islands)
-        self._keep(forces.together())
+        self._set_forces(forces.together())
         return True
 
     def wake(self, joints: Integers) -> None:
-        """Let what rests with some joints take part again."""
+        """Wake the islands to which some joints belong."""
         islands = self._islands[self._trees[joints[joints > 0]]]
         awake = np.isin(self._islands, islands[islands >= 0])
         self._state.islands = np.where(awake, -1, self._islands)
         if self.forces is not None:
-            self._keep(self.forces)
+            self._set_forces(self.forces)
 
     def wake_all(self) -> None:
-        """Let everything take part again."""
+        """Wake everything."""
         self._state.islands, self._state.resting_forces = self._none, None
         self._set_joints()
 
     def wake_moving(self, v: Array) -> None:
-        """Let what has a velocity (nv,) take part again, with what rests on it."""
+        """Wake the islands that have a nonzero velocity in v (nv,)."""
         moves = self._work.velocity_joint[v != 0.0]
         if self and self.joints[moves].any():
             self.wake(moves[self.joints[moves]])
 
-    def _keep(self, forces: StepForces) -> None:
-        """Set which joints rest, and keep those of some forces that act on them."""
+    def _set_forces(self, forces: StepForces) -> None:
+        """Set the joints at rest, and store the forces that act on them."""
         self._set_joints()
         work = self._work
         on_them = self.joints[work.contact_joints[forces.contacts]].all(axis=1)

@@ -1,4 +1,4 @@
-"""Impacts within a scene: of contacts, of joint limits, and those without collision."""
+"""Impacts of a scene: at contacts, at joint limits, and without collision. (theory.md, 13 and 14)"""
 
 from __future__ import annotations
 
@@ -42,36 +42,37 @@ from .switched_off import locked_joints
 _compiled: set[tuple[bool, bool]] = set()
 
 CROWD = 16
-"""Contacts beyond which an impact that restores nothing is left to time steps, where they may take over: the
-cost of its events grows steeply with their number."""
+"""Number of contacts above which an impact without restitution is left to time steps, with `scheme="auto"`:
+the cost of its events grows steeply with their number."""
 
 FEW = 8
-"""Contacts up to which such an impact is integrated by adaptive steps there: at more these take seconds, and
-rarely find a limit e → 0."""
+"""Number of contacts up to which adaptive steps integrate such an impact, with `scheme="auto"`: with more
+they take seconds, and rarely find a limit e → 0."""
 
 GROWN = 100.0
-"""By what factor it has grown at least where it is no rounding."""
+"""Least growth of the initial velocity of an impact without collision; smaller changes are rounding."""
 
 _NO_AXES = np.zeros((3, 3))
-"""Those of a joint limit, whose impulse is none in the world."""
+"""Axes of a joint limit, whose impulse has no direction in the world."""
 
 
 class SceneImpacts:
-    """Resolves the impacts of a scene.
+    """Resolve the impacts of a scene.
 
     Args:
         scene: The scene.
-        model: Its model, without what is switched off.
+        model: Its model, without the effects that are switched off.
         data: Its data, which kernels do not read.
         dynamics: The scene's contacts and limits.
-        held: Contacts that hold throughout.
-        resting_speed: That of the scene [m/s].
+        held: Bilateral contacts.
+        resting_speed: Resting speed of the scene [m/s].
 
     Attributes:
-        policy: For what collides or rests at one instant.
-        together: Whether it takes all of them at once.
-        unresolved: By how much gravity changes velocities in a time step [m/s], 0 between events. What
-            steps miss is the square of that, in parts of velocities, and an impact need not miss less.
+        policy: Name of the policy for impacts at several contacts.
+        together: Whether the policy resolves all contacts at once.
+        unresolved: Change of velocity by gravity in a time step [m/s], 0 for the event-driven scheme. The
+            relative error of time steps is the square of its ratio to the velocity; impacts need not be more
+            accurate.
     """
 
     def __init__(
@@ -102,7 +103,7 @@ class SceneImpacts:
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
 
     def compile_kernels(self, q: Array) -> None:
-        """Have compiled whatever impacts may come to need, once, by impacts at rest that change nothing.
+        """Compile the kernels that impacts may need, once, by resolving impacts with zero velocity.
 
         Args:
             q: (nq,) a configuration.
@@ -111,22 +112,22 @@ class SceneImpacts:
         contacts = self._dynamics.contacts
         first = {contact.plane.body is None: i for i, contact in reversed([*enumerate(contacts)])}
         for in_world, i in first.items():
-            contact, kind = contacts[i], (in_world, bool(self._held))  # what the types of numbers depend on
+            contact, kind = contacts[i], (in_world, bool(self._held))  # determines the types of arguments
             if kind not in _compiled:
                 _compiled.add(kind)
-                with suppress(PinimpactError):  # what is wrong with it is reported when it collides
+                with suppress(PinimpactError):  # errors are reported when the contact collides
                     self._impact(replace(contact, restitution=0.0), q, zero)
                     self.without_collision(q, zero, i)
 
     def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:
-        """Resolve the impact of a contact or, past those, of a joint limit.
+        """Resolve the impact of a single contact or joint limit.
 
         Args:
             t: Time [s].
             q: (nq,) configuration.
-            v: (nv,) velocity before it.
-            i: Which.
-            approach: Its speed of approach [m/s].
+            v: (nv,) velocity before the impact.
+            i: Number of the contact; joint limits follow the contacts.
+            approach: Speed of approach [m/s].
         """
         slow = self._sustained and approach <= self._resting_speed
         contacts = len(self._dynamics.contacts)
@@ -189,36 +190,36 @@ class SceneImpacts:
         limit: bool = False,
         refuse: bool = False,
     ) -> GroupImpact | None:
-        """Resolve the impact of all that touches and takes part in it; None for a contact on its own.
-
-        Where others feel a contact but are lifted by it, and so take no part, it is not on its own if it
-        restores something: the law is the energetic one then.
+        """Resolve an impact at several contacts and joint limits.
 
         Args:
             q: (nq,) configuration.
-            v: (nv,) velocity before it.
+            v: (nv,) velocity before the impact.
             first: The contact or limit that collides.
             touching: All that touch, `first` among them, contacts before limits.
-            limit: Whether to take the limit of impacts one after another that have no end, a plastic impact
-                of all. (14.8)
-            refuse: Whether an impact that restores nothing is refused if more than `CROWD` contacts take part
-                in it or its waves are not resolved, by adaptive steps at no more than `FEW` contacts.
+            limit: Whether to take the limit of an infinite sequence of impacts, a plastic impact of all. (14.8)
+            refuse: Whether to raise an error for an impact without restitution in which more than `CROWD`
+                contacts take part or whose waves are not resolved; adaptive steps are tried for up to `FEW`.
+
+        Returns:
+            The impact; None if only `first` takes part. If `first` has restitution and others are coupled to
+            it but lifted, the impact is returned too, since the law is then the energetic one.
 
         Raises:
-            IrregularMotionError: It is.
+            IrregularMotionError: The impact is refused.
         """
         touching = self._connected(first, touching)
         every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])
-        work = self._dynamics.work  # what is closed already has a rate only by the error of steps
+        work = self._dynamics.work  # gap rates of active contacts are errors of steps
         least = max(work.least_approach, work.certain_speed)
         parts = np.empty(len(touching), dtype=np.int64)
         place, rates = touching.index(first), velocity[:, 2].copy()
-        felt = taking_part(matrices.delassus, friction, rates, least, place, parts)
+        coupled = taking_part(matrices.delassus, friction, rates, least, place, parts)
         chosen = parts.nonzero()[0]
         struck = [every[k] for k in chosen.tolist()]
-        if len(chosen) == 1 and (not felt or self._is_plastic(struck[0])):
+        if len(chosen) == 1 and (not coupled or self._is_plastic(struck[0])):
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
         refuse = refuse and not any(e)
@@ -240,7 +241,7 @@ class SceneImpacts:
                 policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy
             )
         except UnstoppableApproachError:
-            # what is closed may approach along what nothing moves, by the error of steps: that is none
+            # active contacts may approach by the error of steps in a direction that no impulse changes
             rests = work.modes[sources, None] > np.array([SLIP, SLIP, FREE])
             rests &= np.abs(velocity) <= least
             if not rests.any():
@@ -257,19 +258,22 @@ class SceneImpacts:
     def without_forces(
         self, t: float, q: Array, v: Array, touching: Sequence[int], slips: Bools, slack: float, refuse: bool
     ) -> GroupImpact | None:
-        """Resolve the impact without collision where no forces let contacts slip on. (theory.md, 13)
+        """Resolve an impact without collision, where no admissible forces exist. (theory.md, 13.2)
 
         Args:
             t: Time [s].
             q: (nq,) configuration.
             v: (nv,) velocity.
             touching: All that touch, contacts before limits.
-            slips: Which of these slip; the others are at rest.
-            slack: Part by which friction may be less than where the forces have no bound.
-            refuse: Whether it is refused where its waves cannot be followed from event to event.
+            slips: (k,) whether each of these slips; the others are at rest.
+            slack: Largest relative increase of friction that makes the forces unbounded; 0: no forces exist.
+            refuse: Whether to raise an error if its waves cannot be followed from event to event.
 
         Returns:
-            The impact; None where nothing comes of it, so that it is none.
+            The impact, or None if there is none.
+
+        Raises:
+            IrregularMotionError: The impact is refused.
         """
         every, matrices = self._matrices(q, touching)
         velocity = matrices.velocity(v)
@@ -291,8 +295,8 @@ class SceneImpacts:
         if growing is None:
             if slack > 0.0 or not friction[~slips].any():
                 return None
-            growing = np.maximum(-push, 0.0) / -push.min()  # what grows where what rests slips (13.7)
-        # what begins is small beside the slip of what jams, and what counts as rest beside the fastest
+            growing = np.maximum(-push, 0.0) / -push.min()  # in proportion to the loads (13.7)
+        # initial approach relative to the slip of the fastest growing contact, and to the fastest slip (13.2)
         jamming = int(np.argmax(growing * slips))
         slow = float(np.hypot(velocity[jamming, 0], velocity[jamming, 1]))
         nudge = max(NUDGE * slow, LEAST_NUDGE * speed)
@@ -302,7 +306,7 @@ class SceneImpacts:
         try:
             accuracy = 0.0 if refuse else self._accuracy(velocity)
             solved = self._solve("propagate", every, numbers, e, touching, accuracy)
-        except UnstoppableApproachError:  # what neither forces nor impulses can hold
+        except UnstoppableApproachError:
             return None
         if refuse and not solved.solution.story.resolved:
             raise IrregularMotionError("scene: an impact without collision is not resolved")
@@ -313,17 +317,17 @@ class SceneImpacts:
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
     def _accuracy(self, velocity: Array) -> float:
-        """Return what adaptive steps through waves may miss of velocities (n, 3), in parts of the largest."""
+        """Return the tolerance of adaptive steps through an impact, relative to the largest of its velocities."""
         missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
         return min(max(self._dynamics.work.rtol, missed), COARSEST)
 
     def islands(self, contacts: Integers) -> int:
-        """Return how many islands of trees of joints contacts connect; the world connects nothing."""
+        """Return the number of islands that contacts connect; the world connects nothing."""
         ends = self._roots[self._dynamics.work.contact_joints[contacts]]
         return len(np.unique(islands(self._roots, ends)[ends[ends > 0]]))
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
-        """Return those of what touches that joints and contacts, held ones too, connect with the first."""
+        """Return those of `touching` that joints and contacts, also held ones, connect with the first."""
         if self._roots[-1] <= 1:  # one tree
             return list(touching)
         work, count = self._dynamics.work, len(self._dynamics.contacts)
@@ -336,7 +340,7 @@ class SceneImpacts:
         return [i for i, island in zip(touching, of[1:].tolist(), strict=False) if island == of[0]]
 
     def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
-        """Return contacts, None for each limit, and the matrices of all."""
+        """Return the contacts, with None for each limit, and their matrices."""
         count = len(self._dynamics.contacts)
         every = [self._dynamics.contacts[i] if i < count else None for i in touching]
         contacts = [contact for contact in every if contact is not None]
@@ -353,15 +357,15 @@ class SceneImpacts:
         sources: Sequence[int],
         accuracy: float,
     ) -> Solved:
-        """Solve an impact at many contacts; modes let rest what bounces slower than the resting speed.
+        """Solve an impact at several contacts, and determine which bounce slower than the resting speed.
 
         Args:
-            name: Of the policy.
-            struck: The contacts, None for each limit.
+            name: Name of the policy.
+            struck: The contacts, with None for each limit.
             numbers: Delassus matrix, velocities, friction and velocities of the surfaces.
-            e: Restitution.
-            sources: Their numbers.
-            accuracy: What adaptive steps through waves may miss; 0: these are not integrated by steps.
+            e: Coefficients of restitution.
+            sources: Numbers of the contacts and limits.
+            accuracy: Relative tolerance of adaptive steps through the impact; 0: no such steps.
         """
         delassus, velocity, friction, surface = numbers
         stiffness = _stiffness(struck, delassus)
@@ -369,7 +373,6 @@ class SceneImpacts:
         law = laws.pop() if len(laws) == 1 else "energetic"
         policy = find_policy(name)
         restitution = np.array(e)
-        # the robot's own numbers need no check
         inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
         options = {"accuracy": accuracy} if name == "propagate" else {}
         solution = policy.run(inputs, False, **options)
@@ -385,22 +388,22 @@ class SceneImpacts:
         return Solved(solution, resting, ImpactGroup(problem, name, options))
 
     def _metres(self, i: int) -> float:
-        """Return the metres per unit of a row: 1 of a contact, see `joint_metres` for a limit."""
+        """Return the metres per unit of a row: 1 for a contact, κ of (10.6) for a limit."""
         k = i - len(self._dynamics.contacts)
         return 1.0 if k < 0 else float(self._dynamics.work.joint_metres[self._dynamics.limits[k].index_v])
 
     def _is_plastic(self, contact: Contact | None) -> bool:
-        """Whether a contact, or a limit, restores nothing whatever its law, and nothing is held or locked."""
+        """Whether a contact or limit has no restitution, and nothing is held or locked."""
         if self._held or self._locked:
             return False
         return (self._limit_restitution if contact is None else contact.restitution) == 0.0
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
-        """Return the restitution of a contact, or of a limit, in an impact at many."""
+        """Return the restitution of a contact or limit at a gap rate [m/s]."""
         return self._limit_restitution if contact is None else contact.restitution_at(max(-rate, 0.0))
 
     def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
-        """Return M⁻¹ with what is held and locked projected out."""
+        """Return M⁻¹ with held contacts and locked joints projected out."""
         nv = self._model.nv
         inverse = inverse_mass(self._model, self._data, q)
         if self._yielding.all() and not self._held:
@@ -415,12 +418,12 @@ class SceneImpacts:
         return inverse
 
     def without_collision(self, q: Array, v: Array, i: int) -> Impact:
-        """Resolve the impact without collision of a contact that slips.
+        """Resolve the impact without collision at a single slipping contact.
 
         Args:
             q: (nq,) configuration.
-            v: (nv,) velocity before it.
-            i: The contact.
+            v: (nv,) velocity before the impact.
+            i: Number of the contact.
         """
         contact = self._dynamics.contacts[i]
         matrices = self._matrices_of(q, contact)
@@ -438,7 +441,7 @@ class SceneImpacts:
         return Impact(v + matrices.response @ p, False, lambda: (problem, p @ matrices.axes))
 
     def _matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
-        """Return the matrices of a contact, with what the scene holds and locks."""
+        """Return the matrices of a contact, with held contacts and locked joints."""
         return contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
@@ -453,14 +456,14 @@ def matrices_of_all(
     held: Sequence[Contact],
     mobility: Array,
 ) -> ManyMatrices:
-    """Return the matrices of contacts and, past those, joint limits of a robot at a configuration.
+    """Return the matrices of contacts, followed by joint limits, of a robot at a configuration.
 
     Args:
         placed: The robot.
         contacts: The contacts.
         limits: The joint limits.
-        held: Contacts that hold.
-        mobility: (nv,) 1 for velocities that impacts change, 0 for others.
+        held: Bilateral contacts.
+        mobility: (nv,) 1 for velocities that impacts change, 0 for locked joints.
     """
     stops = np.zeros((len(limits), len(mobility)))
     for row, limit in zip(stops, limits, strict=True):
@@ -469,7 +472,7 @@ def matrices_of_all(
 
 
 def _stiffness(struck: Sequence[Contact | None], delassus: Array) -> Array:
-    """Return relative stiffnesses; of joint limits such that κ W is the mean of the contacts'."""
+    """Return relative stiffnesses κ; for a joint limit κ W is the mean of that of the contacts."""
     inverse_masses = delassus.diagonal()[2::3].tolist()
     given = [contact.stiffness * w for contact, w in zip(struck, inverse_masses, strict=True) if contact]
     mean = (sum(given) / len(given) if given else 0.0) or 1.0

@@ -1,4 +1,4 @@
-"""A motion taken step by step, with a force that is held over each: for control loops and learning."""
+"""Step-by-step simulation with forces that are constant during each step, for control loops and learning."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _SLOPES: WeakKeyDictionary[Integrator, MotionSlopes] = WeakKeyDictionary()
 
 
 @contextmanager
-def _kept(integrator: Integrator) -> Iterator[None]:
-    """Return to the present state and record of a motion afterwards."""
+def _restored(integrator: Integrator) -> Iterator[None]:
+    """Restore the present state and record of a motion on exit."""
     record, value, reached = integrator.record, integrator.value(), integrator.reached
     mark, warned = record.mark(), (record.bound_reached, record.stepping_warned)
     try:
@@ -34,7 +34,7 @@ def _kept(integrator: Integrator) -> Iterator[None]:
     finally:
         record.cut(mark)
         record.bound_reached, record.stepping_warned = warned
-        integrator.state.become(value.kept(memory=None))
+        integrator.state.assign(value.copy(memory=None))
         integrator._prepare()
         integrator._continue_with(value)
         integrator.reached = reached
@@ -161,7 +161,7 @@ class Stepper:
         record = integrator.record
         steps, impacts, events = len(record.dense_steps), len(record.impacts), len(record.events)
         try:
-            with _kept(integrator):
+            with _restored(integrator):
                 record.keeps_steps = True
                 self.step(tau, dt)
                 slopes.saltation.slopes.tau[:] = tau
@@ -175,7 +175,7 @@ class Stepper:
         return Linearization(x[:, :n], x[:, n:], boundary)
 
     def _slopes(self) -> MotionSlopes:
-        """Return what differentiates the motion, kept for the next time."""
+        """Return the derivatives of the motion's equations; they are created once per integrator."""
         integrator = self._integrator
         found = _SLOPES.get(integrator)
         if found is None:

@@ -1,8 +1,8 @@
 """Time stepping: Moreau and Jean's scheme for the same scenes as the event-driven one.
 
-A step takes all sustained contacts, limits and dry joints at once as one cone complementarity problem at the
-midpoint; what closes faster than a step can decide is an impact, by the law of the scene, where it closes
-within the step. (theory.md, section 16)
+All sustained contacts, joint limits and joints with dry friction of a step form one cone complementarity
+problem at its midpoint. Contacts that close faster than a step can resolve are impacts, which cut the step
+and follow the scene's law. (theory.md, section 16)
 """
 
 from __future__ import annotations
@@ -38,27 +38,27 @@ from .step_taken import Near, Removal, StepTaken
 from .switched_off import locked_joints
 
 MOST_IMPACTS = 20
-"""Instants with impacts in a step; what closes after that does so without restitution."""
+"""Largest number of instants with impacts in a step; contacts that close later do so without restitution."""
 
 FAILED = 0.1
-"""What the contact problem may miss at the most, in parts of its velocities: more is no answer."""
+"""Largest acceptable residual of a contact problem, relative to its velocities."""
 
 LONGER = 2.0
-"""How much longer a step may be than the one before whose impulses predict its own: a velocity that stopped
-in the short rest of a step, after an impact, would be predicted as many times."""
+"""Largest ratio of the lengths of a step and the one before whose mean impulses predict its own: after an
+impact, the short remainder of a step stops a velocity, and a longer step would predict a multiple of that."""
 
 WHOLE, CUT, MISSED, PASSED = range(4)
-"""What has become of a step: it is taken to its end, or to an impact or event in it; or it is not taken, as
-extrapolated gaps close where nothing touches, or as solids may pass through each other between midpoints."""
+"""Outcome of a step: accepted to its end; accepted up to an impact or event in it; rejected, as a gap that
+closes by extrapolation is open there; rejected, as solids may pass through each other between midpoints."""
 
 MOST_REMOVALS = 10
-"""Displacements at the end of a step; what overlaps after that is left to the next step."""
+"""Largest number of displacements that remove overlap at the end of a step; the rest is left to the next."""
 
 _NO_NUMBERS = np.empty(0, dtype=np.int64)
 
 
 class TimeStepping(Integrator):
-    """A motion in steps of the length `dt` of the options; see `Integrator`."""
+    """A motion integrated by steps of length `dt`; see `Integrator`."""
 
     _prepared = False
     _rest: Rest
@@ -67,12 +67,12 @@ class TimeStepping(Integrator):
     def _prepare(self) -> None:
         self._dt = self.options.dt
         self.max_step = min(self.max_step, self._dt)
-        self.shapes.clear()  # their places are filled with patches
+        self.shapes.clear()  # the contacts reserved for pairs of shapes hold patches instead
         self._prepare_steps()
         self.work.sliding_friction[:] = 0.0
 
     def _prepare_steps(self) -> None:
-        """Prepare time steps."""
+        """Initialize the data of time steps, or reset them if they exist."""
         scene, model, work, state = self.scene, self.model, self.work, self.state
         if state.warm_start is None:
             state.warm_start = state.pushed = np.zeros(model.nv)
@@ -90,7 +90,7 @@ class TimeStepping(Integrator):
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._no_change = np.zeros(model.nv)
-        # what closes by the laws of a step does so within its contact problem, as Moreau has it
+        # contacts whose impact law is that of a step (Moreau's) close within its contact problem
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
         self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
@@ -100,17 +100,17 @@ class TimeStepping(Integrator):
         self._gravity = float(np.linalg.norm(model.gravity.linear))
 
     def begin(self, tau: Array | None = None) -> None:
-        """Let what happens at the start happen; see `Integrator.begin`."""
+        """Process the impacts and events at the start; see `Integrator.begin`."""
         if self.sampled is not None:
             tau = self.sampled.at(self.state.t, self.state.q, self.state.v)
         if tau is not None:
             self.work.control_force[:] = tau
         self._collide()
-        self._let_events_happen()
+        self._trigger_events()
         self.state.length = self._dt
 
     def hold_force(self, tau: Array) -> None:
-        """Let a constant force (nv,) act from now on."""
+        """Replace the constant generalized force (nv,) from the present time on."""
         if not np.array_equal(tau, self.work.control_force):
             self._rest.wake_all()
         self.work.control_force[:] = tau
@@ -122,32 +122,32 @@ class TimeStepping(Integrator):
     def _settle_and_begin(self, arriving: Any = None) -> None:
         self._rest.wake_all()
         self._collide()
-        self._let_events_happen()
+        self._trigger_events()
 
     def _step(self, h: float, stop: float, scale: float) -> float:
-        """Take one step, with the impacts in it; return the length of the next."""
+        """Take one step, with the impacts in it; return the size of the next [s]."""
         state = self.state
-        if self.record.keeps_steps:  # whatever rests may move as something changes
+        if self.record.keeps_steps:  # derivatives need the steps of bodies at rest too
             self._rest.wake_all()
-        # what rests needs no steps, but functions of the user's are to be asked
+        # without user events, one long step suffices while everything is at rest
         longest = math.inf if self._rest.complete and not self.events else self._dt
         left, struck = min(longest, stop - state.t), 0
-        none = HALF_DIGITS * min(left, self._dt)
-        if stop - state.t - left < none:
+        negligible = HALF_DIGITS * min(left, self._dt)
+        if stop - state.t - left < negligible:
             left = stop - state.t
         begin, end = state.t, state.t + left
         ends = [end]
         while ends and self.state.ended_by is None:
-            if ends[-1] - state.t <= none:
+            if ends[-1] - state.t <= negligible:
                 begin = ends.pop()
                 continue
-            taken = self._take(ends[-1] - state.t, struck < MOST_IMPACTS)
-            struck += taken in (CUT, MISSED)
-            if taken in (MISSED, PASSED):  # halves of halves: times that do not depend on the motion
+            outcome = self._take_step(ends[-1] - state.t, struck < MOST_IMPACTS)
+            struck += outcome in (CUT, MISSED)
+            if outcome in (MISSED, PASSED):  # bisect the original step: its times do not depend on the motion
                 while (middle := 0.5 * (begin + ends[-1])) <= state.t:
                     begin = middle
                 ends.append(middle)
-        if self.state.ended_by is None and abs(end - state.t) <= none:
+        if self.state.ended_by is None and abs(end - state.t) <= negligible:
             state.t = self.record.dense_steps[-1].end = stop if end == stop else end
         state.steps += 1
         self._sample()
@@ -155,15 +155,15 @@ class TimeStepping(Integrator):
 
     # ---- one step
 
-    def _take(self, h: float, strikes: bool) -> int:
-        """Take a step, to the first impact in it at the longest.
+    def _take_step(self, h: float, strikes: bool) -> int:
+        """Take a step up to its end or to the first impact or event in it.
 
         Args:
-            h: Its length [s].
-            strikes: Whether what closes fast is an impact; else it closes without restitution.
+            h: Step size [s].
+            strikes: Whether contacts that close fast are impacts; else they close without restitution.
 
         Returns:
-            `WHOLE` or `CUT`; or why the step is not taken: `MISSED` or `PASSED`.
+            `WHOLE` or `CUT` if the step is accepted, `MISSED` or `PASSED` if it is rejected.
         """
         state, before = self.state, (self.state.pushed, self.state.step_before)
         middle, v = midpoint(self.work.joint_charts, state.q, state.v, h)
@@ -178,17 +178,17 @@ class TimeStepping(Integrator):
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
-        step, axes = self._dense(t, h, v, (system, rows, found))
+        step, axes = self._dense_step(t, h, v, (system, rows, found))
         step.end = t + share * h
         self.instant.rims.check_step(rows, found, step)
         if self.record.keeps_steps:
-            step.taken = self._taken(h, (middle, v), (system.softened, pushed), axes, rows, found)
+            step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
         closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
         slowest = within = 0.0
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
             slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
-            if may_be_halved and not self._meets(*step.at(step.end), slowest, within):
+            if may_be_halved and not self._collides_at(*step.at(step.end), slowest, within):
                 state.pushed, state.step_before = before
                 return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
@@ -213,25 +213,28 @@ class TimeStepping(Integrator):
             self._collide(slowest, within, step.taken, pressed)
             return CUT
         active, moved = ~found.arrives, self._no_change
-        if overlap > max(self._touching, self._closed(h, found)):
-            moved = self._project(step, h, overlap, system)
+        if overlap > max(self._touching, self._closable_overlap(h, found)):
+            moved = self._remove_overlap(step, h, overlap, system)
         if self._continuous is None and step.taken is None:
-            self._let_rest(step, rows, active, (v, v_end, moved / h))
+            self._set_resting(step, rows, active, (v, v_end, moved / h))
         return WHOLE
 
     def _solve(
         self, t: float, h: float, middle: tuple[Array, Array], strikes: bool
     ) -> tuple[StepRows, StepSystem, StepResult, tuple[float, float, float]]:
-        """Solve the equations of a step, whose rows include all that would overlap at its end without them.
+        """Solve the equations of a step. (16.1), (16.2)
+
+        Contacts that the forces and impulses of the step drive together are added until none is missing.
 
         Args:
-            t: Its start [s].
-            h: Its length [s].
-            middle: (nq,) configuration at its midpoint, and (nv,) velocity at its start, in the axes there.
-            strikes: As of `_take`.
+            t: Start of the step [s].
+            h: Step size [s].
+            middle: (nq,) configuration at the midpoint, and (nv,) velocity at the start, in the axes of the
+                midpoint.
+            strikes: See `_take_step`.
 
         Returns:
-            Its rows, matrices and result, and what `close_gaps` returns.
+            The rows, matrices and result of the step, and what `close_gaps` returns.
         """
         state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
         softened, pushed = self._softening(h), state.pushed
@@ -244,53 +247,52 @@ class TimeStepping(Integrator):
         rows, room = self._rows(q, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps
         while True:
             found, state.pushed = rows.room(len(v), room), np.array(pushed)
-            off, *ends = midpoint_step(
+            residual, *ends = midpoint_step(
                 *(self.work, t + 0.5 * h, h, q, v, strikes),
                 *(system, rows, state.warm_start, state.pushed, found),
             )
             self.dynamics.check()
-            self._check(t, off, found)
-            # forces and impulses of the step may drive points in that were not near before
-            driven = self._numbers(q, found.v_end, 2.0 * h, -self._touching, False)
+            self._check_result(t, residual, found)
+            driven = self._near_numbers(q, found.v_end, 2.0 * h, -self._touching, False)
             known = rows.near(self.work.contacts)
             joined = np.zeros(len(self._near), dtype=bool)
             joined[known] = True
             if joined[driven].all():
                 break
             rows = self._rows(q, v, h, slack, False, np.union1d(known, driven))
-        if off > max(USABLE, state.unsolved):
+        if residual > max(USABLE, state.unsolved):
             if state.unsolved == 0.0:
-                self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
-            state.unsolved = off
+                self.instant.note(f"A contact problem was solved only to {residual:.2g} of its velocities.")
+            state.unsolved = residual
         return rows, system, found, (ends[0], ends[1], ends[2])
 
-    def _check(self, t: float, off: float, found: StepResult) -> None:
-        """Refuse a step without a solution: velocities beyond all numbers, a contact problem not solved."""
+    def _check_result(self, t: float, residual: float, found: StepResult) -> None:
+        """Raise an error if the velocities are not finite or the contact problem is not solved."""
         if not np.isfinite(found.v_end).all():
             raise IrregularMotionError(
                 f"scene: the velocities grow beyond all numbers at t = {t:.6g} s; a control may be unstable, "
                 "for instance with gains that are too high for its period"
             )
-        if off > FAILED:
+        if residual > FAILED:
             raise IrregularMotionError(
                 f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
-                f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help"
+                f"impulses violate Coulomb's law by {residual:.2g} of its velocities; another dt may help"
             )
 
-    def _let_rest(
+    def _set_resting(
         self,
         step: DenseStep,
         rows: StepRows,
         active: NDArray[np.bool_],
         velocities: tuple[Array, Array, Array],
     ) -> None:
-        """Let what has come to rest in a step rest.
+        """Set the islands at rest that have come to rest in a step.
 
         Args:
             step: The step.
             rows: Its rows.
-            active: (nc + nl,) contacts and limits that took part.
-            velocities: At its start, at its end, and that of taking away overlap, (nv,) each.
+            active: (nc + nl,) whether each contact and limit took part in it.
+            velocities: (nv,) velocity at its start, at its end, and of the removal of overlap.
         """
         nc, every, pushed = len(rows.contacts), len(rows.surface), self.state.pushed
         assert pushed is not None
@@ -306,15 +308,15 @@ class TimeStepping(Integrator):
         if step.closed is not None and self._rest.begin(islands, step.closed):
             velocities[1][islands[self._tree] >= 0] = 0.0
 
-    def _numbers(self, q: Array, v: Array, h: float, slack: float, placed: bool) -> Integers:
-        """Return the numbers of contacts, and of limits past those, that may close within a step.
+    def _near_numbers(self, q: Array, v: Array, h: float, slack: float, placed: bool) -> Integers:
+        """Return the numbers of the contacts and limits that may close within a step.
 
         Args:
             q: (nq,) configuration at the midpoint.
             v: (nv,) velocity.
-            h: Length of the step [s].
-            slack: What gaps may close by beside their rates [m].
-            placed: Whether kinematics are those of this state already.
+            h: Step size [s].
+            slack: Distance by which gaps may close in addition to their rates [m].
+            placed: Whether the kinematics are those of this state already.
         """
         near, joints = self._near, self._rest.joints
         return near[: near_rows(self.work, q, v, h, slack, self._faces.idle, joints, placed, near)]
@@ -322,16 +324,17 @@ class TimeStepping(Integrator):
     def _rows(
         self, q: Array, v: Array, h: float, slack: float, placed: bool, others: Integers = _NO_NUMBERS
     ) -> StepRows:
-        """Return the rows of what may close within a step, not filled as yet.
+        """Return the rows of the contacts and limits that may close within a step, with uninitialized values.
 
-        Arguments are those of `_numbers`, with the numbers of others that count.
+        Islands at rest that a moving body may touch are woken. The arguments are those of `_near_numbers` and
+        the numbers of other contacts and limits to include.
         """
         work, held, dry, rest = self.work, self._held, self._dry, self._rest
         while True:
-            found = self._numbers(q, v, h, slack, placed)
-            found = np.union1d(found, others) if len(others) else found
-            first = int(np.searchsorted(found, work.contacts))
-            contacts, limits = found[:first].copy(), found[first:] - work.contacts
+            near = self._near_numbers(q, v, h, slack, placed)
+            near = np.union1d(near, others) if len(others) else near
+            first = int(np.searchsorted(near, work.contacts))
+            contacts, limits = near[:first].copy(), near[first:] - work.contacts
             if not rest:
                 break
             ends = work.contact_joints[contacts].ravel()
@@ -350,7 +353,7 @@ class TimeStepping(Integrator):
         )
 
     def _softening(self, h: float) -> Array:
-        """Return what damping and drives add to M over half a step, (nv,)."""
+        """Return (nv,) what damping and drives add to the diagonal of M in a step of size h [s]."""
         work = self.work
         added = 0.5 * h * work.damping
         if self.dynamics.driven:
@@ -361,16 +364,16 @@ class TimeStepping(Integrator):
         return added
 
     def _invert(self, q: Array, added: Array) -> None:
-        """Compute M with what is added to its diagonal, and its inverse, unless they are what they were."""
+        """Compute M + diag(`added`) and its inverse, unless both are unchanged."""
         if self._mass_constant and np.array_equal(added, self._added):
             return
         self._added = added
         invert_trees(mass_matrix(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
-    def _dense(
+    def _dense_step(
         self, t: float, h: float, v: Array, solved: tuple[StepSystem, StepRows, StepResult]
     ) -> tuple[DenseStep, Array]:
-        """Return the step with its forces, and the axes of its contacts, and record its modes."""
+        """Return a step with dense output and forces, and the axes of its contacts; set the contact modes."""
         work, state, (system, rows, found) = self.work, self.state, solved
         coefficients = np.zeros((DENSE_TERMS, 2 * work.nv + WORKS))
         contacts = np.concatenate([rows.contacts, rows.held])
@@ -383,7 +386,7 @@ class TimeStepping(Integrator):
             step.closed = StepForces(contacts, world, points, mean.axes[:, 2], mean.joints, resting)
         return step, mean.axes
 
-    def _taken(
+    def _step_data(
         self,
         h: float,
         middle: tuple[Array, Array],
@@ -392,43 +395,44 @@ class TimeStepping(Integrator):
         rows: StepRows,
         found: StepResult,
     ) -> StepTaken:
-        """Return what a step was computed from: its midpoint, what softens, `pushed`, …."""
+        """Return the data of a step from which its derivatives are computed."""
         work, (softened, pushed) = self.work, velocities
         assert pushed is not None
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
         given = h, *middle, softened, pushed, follows, self._near_of(rows), axes
-        return StepTaken(*given, rows, found.kept(), self._touching, self._closed(h, found))
+        closable = self._closable_overlap(h, found)
+        return StepTaken(*given, rows, found.kept(), self._touching, closable)
 
-    def _closed(self, h: float, found: StepResult) -> float:
-        """Return the overlap [m] that a step of length h closes by velocities."""
+    def _closable_overlap(self, h: float, found: StepResult) -> float:
+        """Return the largest overlap [m] that the velocities of the next step close."""
         return h * self.work.resting_speed if found.bent[0] else 0.0
 
     def _near_of(self, rows: StepRows) -> Near:
-        """Return what some rows belong to, with the corners that contacts of two shapes stand for now."""
+        """Return the contacts of some rows, with the corners that represent contacts of two shapes now."""
         every = self._faces.corners()
         contacts = tuple(self.dynamics.contacts[i] for i in (*rows.contacts, *rows.held))
         return Near(contacts, {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every})
 
-    def _project(self, step: DenseStep, h: float, depth: float, system: StepSystem) -> Array:
-        """Take away what overlaps at the end of a step; return the displacement (nv,).
+    def _remove_overlap(self, step: DenseStep, h: float, depth: float, system: StepSystem) -> Array:
+        """Remove the overlap at the end of a step; return the displacement (nv,).
 
-        It is the least one in the metric of M for the gaps as they are; where it brings other points into
-        contact, or gaps are not linear, it is followed by another one. Velocities of free bodies stay as
-        they are in axes that stand still. (theory.md, 16)
+        It is the least displacement in the metric of M for linearized gaps, and is repeated: it may bring
+        other points into contact, and gaps are not linear. The linear velocities of free bodies are kept in
+        world axes. (theory.md, 16)
 
         Args:
-            step: The step, which ends where it is taken away.
-            h: Its length [s].
+            step: The step, whose end is displaced.
+            h: Step size [s].
             depth: The largest overlap [m].
-            system: The `StepSystem`.
+            system: Matrices of the step.
         """
         state, nv, v = self.state, self.model.nv, self.state.v
         moved, still, before = np.zeros(nv), np.zeros(nv), self._energy_at(state.q)
         for attempt in range(MOST_REMOVALS):
             self._faces.place(state.q, state.v, h)
             unknown = attempt > 0 and not len(self._held)
-            if unknown and not len(self._numbers(state.q, still, h, -self._touching, False)):
+            if unknown and not len(self._near_numbers(state.q, still, h, -self._touching, False)):
                 break
             rows = self._rows(state.q, still, h, depth, unknown)
             depth = overlap_at(self.work, state.q, state.v, rows)
@@ -450,14 +454,14 @@ class TimeStepping(Integrator):
         return moved
 
     def _energy_at(self, q: Array) -> float:
-        """Return the energy with the present velocity [J]."""
+        """Return the energy at q with the present velocity [J]."""
         model, data = self.model, self.data
         return potential_energy(model, data, q) + kinetic_energy(model, data, q, self.state.v)
 
     # ---- impacts
 
-    def _meets(self, q: Array, v: Array, slowest: float, within: float) -> bool:
-        """Return whether anything collides in a state; arguments are those of `_collide`."""
+    def _collides_at(self, q: Array, v: Array, slowest: float, within: float) -> bool:
+        """Return whether any contact or limit collides in a state; see `_collide` for the arguments."""
         touching = max(self._touching, within)
         self._faces.place(q, v, 0.0, touching=touching)
         rates = self.instant.approach(q, v, touching)
@@ -473,9 +477,9 @@ class TimeStepping(Integrator):
         """Resolve the impacts of this instant.
 
         Args:
-            slowest: Speed of approach above which what touches collides [m/s]; at least the resting speed.
-            within: The gap up to which it touches [m]; at least the tolerance of touching.
-            taken: The step that ends here, which is to be differentiated.
+            slowest: Speed of approach above which a contact collides [m/s], at least the resting speed.
+            within: Largest gap of a touching contact [m], at least the tolerance of touching.
+            taken: Data of the step that ends here, if it is to be differentiated.
             pressed: See `Instant.collide`.
         """
         state, touching = self.state, max(self._touching, within)
