@@ -1,4 +1,4 @@
-"""All contacts at once: the policies "together" and "reflect". (theory.md, 14)"""
+"""The policies "together" and "reflect", which resolve all contacts at once. (theory.md, 14)"""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from .many_inputs import ManyInputs, refuse, solution_of
 from .many_solution import ManySolution
 
 MOST_IMPACTS = 200
-"""Impacts per contact after which the limit of a sequence that does not end is taken."""
+"""Number of single impacts per contact after which the limit (14.8) of a sequence is taken."""
 
 
 def together(inputs: ManyInputs, record: bool) -> ManySolution:
-    """Poisson's law in two phases; see `solve_together`."""
+    """Solve an impact at n contacts by Poisson's law in two phases. (14.7)"""
     return solve_together(inputs)[0]
 
 
 def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
-    """Return the solution of (14.7), and by what part of the velocities it misses Coulomb's law."""
+    """Return the solution of (14.7), and the residual of Coulomb's law relative to the largest velocity."""
     from ._kernels.plastic import impulses_together
 
     if inputs.law != "poisson" and inputs.restitution.any():
@@ -33,12 +33,12 @@ def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
     velocity = inputs.velocity.ravel()
     compression, restitution = np.zeros((2, 3 * n))
     w, mu, k = inputs.delassus, inputs.friction, inputs.stiffness
-    missed = impulses_together(w, velocity, mu, np.zeros(n), k, compression)
+    residual = impulses_together(w, velocity, mu, np.zeros(n), k, compression)
     between = velocity + inputs.delassus @ compression
     given = inputs.restitution * np.maximum(compression[2::3], 0.0)
     if given.any():
         further = impulses_together(w, between, mu, given, k, restitution)
-        missed = max(missed, further)
+        residual = max(residual, further)
     after = between + inputs.delassus @ restitution
     rest = MISSED * float(np.abs(velocity).max(initial=0.0))
     if (after[2::3] < -rest).any() or not np.isfinite(after).all():
@@ -49,14 +49,14 @@ def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
         works[:, 0 if impulse is compression else 1] += powers[:, 2]
         works[:, 2] += powers[:, 0] + powers[:, 1]
     total = compression + restitution
-    notes = () if missed <= FOUND else (f"Coulomb's law is met only to {missed:.1e} of the velocities.",)
+    notes = () if residual <= FOUND else (f"Coulomb's law is met only to {residual:.1e} of the velocities.",)
     names, bounded = ("together", "poisson"), bool(notes)
     found = solution_of(inputs, names, after, total, works, (2, 2), notes=notes, bounded=bounded)
-    return found, missed
+    return found, residual
 
 
 def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
-    """Reflect the velocity until nothing approaches, and mix that with a plastic impact by e."""
+    """Reflect the velocity until no contact approaches, and interpolate to a plastic impact by e."""
     from ._kernels.plastic import impulses_together
 
     if inputs.friction.any():
@@ -102,7 +102,7 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
 
 
 def kernels_at_once() -> tuple[Any, ...]:
-    """Return the kernels of both."""
+    """Return the kernels of both policies."""
     from ._kernels.plastic import impulses_together
 
     return (impulses_together,)

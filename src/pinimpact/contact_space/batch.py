@@ -1,4 +1,4 @@
-"""Many impacts at once."""
+"""Batches of impacts at one contact."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class BatchSolution:
         return numbers, codes
 
     def _fill(self, kernel: Callable[..., None], *results: Array | Integers) -> None:
-        """Let a kernel fill the rows of results, in threads."""
+        """Fill the rows of `results` by a kernel, in threads."""
         matrices, velocities, mu, e, law, scales, factors = self._inputs
 
         def fill(rows: slice) -> None:
@@ -98,7 +98,7 @@ class BatchSolution:
 
 
 def status_counts(status: Integers) -> str:
-    """Return how many rows have which status: "990 SEPARATED, 10 NO_IMPACT"."""
+    """Return the number of rows of each status, as "990 SEPARATED, 10 NO_IMPACT"."""
     values, counts = np.unique(status, return_counts=True)
     counted = zip(values.tolist(), counts.tolist(), strict=True)
     return ", ".join(f"{count} {Status(value).name}" for value, count in counted)
@@ -179,7 +179,7 @@ def solve_factored(
     threads: int = 1,
     work: bool = False,
 ) -> BatchSolution:
-    """Do what `solve_impacts` does, for arrays with one row for each problem and factors (N, FACTOR) of W."""
-    # views that are no whole arrays are copied, or the kernel would be compiled for them too
+    """Solve N problems like `solve_impacts`, from arrays (N, …) with factors (N, FACTOR) of W."""
+    # strided views are copied, or the kernel would be compiled for them too
     w, v, mu, e, scales = map(np.ascontiguousarray, (delassus, velocity, mu, e, scales))
     return BatchSolution((w, v, mu, e, law_code(law), scales, factors), threads, work)

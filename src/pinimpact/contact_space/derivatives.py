@@ -67,7 +67,7 @@ class Derivatives:
 
 
 def named_derivatives(slopes: Array, boundary: Any) -> Derivatives:
-    """Return the `Derivatives` of what `differentiate_rows` fills, slopes (…, 6, 14), as views."""
+    """Return the `Derivatives` of slopes (…, 6, 14) by `differentiate_rows`, as views."""
     return Derivatives(*_parts(slopes[..., :3, :]), *_parts(slopes[..., 3:, :]), boundary)
 
 
@@ -83,7 +83,7 @@ def empty_results(count: int) -> tuple[Array, Integers, Array, Integers]:
 
 
 def derivatives_of(inputs: Inputs, side: int | None = None) -> Derivatives:
-    """Return the derivatives of a problem that has an answer; for `side` see `solve_impact`."""
+    """Return the derivatives of a problem that has a solution; for `side` see `solve_impact`."""
     values, slopes, boundary, _ = _differentiated(inputs)
     if side is not None:
         fill_one_sided_of_problem(inputs, slopes, values, side, _answered)
@@ -108,7 +108,7 @@ def _answered(inputs: Inputs) -> tuple[Array, Array] | None:
 
 
 def check_derivatives(wanted: bool, method: str) -> None:
-    """Refuse derivatives by another method than the exact one."""
+    """Raise `InputError` for derivatives by another method than "exact"."""
     if wanted:
         raise InputError(
             f'derivatives: not available for the method {method!r}; method="exact" has them', value=wanted

@@ -1,12 +1,10 @@
-"""The restitution laws: what each one counts during restitution, and the goal at which the impact ends.
+"""The restitution laws: the quantity and the goal with which restitution ends.
 
-All laws are cumulative over the whole impact, second compressions included. (theory.md, section 2)
+All laws are cumulative over the whole impact, including second compressions. (theory.md, section 2)
 
-To add a law, write it down here, as one more `Law` in `_LAWS`, and give its goal in
-`_kernels.laws.restitution_goal`; nothing else knows one law from another. A law that counts something
-other than the three quantities below needs that quantity in `_kernels.laws` and `_kernels.slip_events` as
-well. `scipy_baseline`, which is kept independent on purpose, says that it does not know the law until it is
-taught.
+To add a law, add a `Law` to `_LAWS` and its goal to `_kernels.laws.restitution_goal`. A law of another
+quantity than the three below also needs that quantity in `_kernels.laws` and `_kernels.slip_events`.
+`scipy_baseline`, which is independent on purpose, raises an error for a law that is not implemented there.
 """
 
 from __future__ import annotations
@@ -19,15 +17,15 @@ from ..checks import choice
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A restitution law: the impact ends when what is counted in restitution reaches the goal.
+    """A restitution law: the impact ends when a quantity reaches its goal.
 
     Attributes:
-        name: What users call it.
-        counts: What grows towards the goal: the normal impulse P_r or the normal work W_r of all
-            restitution so far, or the normal velocity v₃ itself.
+        name: Name for users.
+        counts: The quantity: the normal impulse P_r or the normal work W_r of all restitution so far, or the
+            normal velocity v₃.
         equation: The goal, with its number on the theory page.
-        summary: One line on what it is, and what it can and cannot take.
-        always_met: Whether every impact whose approach can be stopped meets it.
+        summary: One line of description.
+        always_met: Whether every impact whose approach can be stopped satisfies the law.
     """
 
     name: str
@@ -65,12 +63,12 @@ LAWS = tuple(law.name for law in _LAWS)
 """Names of the restitution laws, by their codes in the kernels."""
 
 COUNTED = tuple(law.counts for law in _LAWS)
-"""What each of `LAWS` counts."""
+"""The quantity of each of `LAWS`."""
 
 ALWAYS_MET = tuple(law.name for law in _LAWS if law.always_met)
-"""Those that every impact meets, once its approach is stopped."""
+"""Laws that every impact satisfies, once its approach is stopped."""
 
 
 def law_code(name: str) -> int:
-    """Return the kernels' code of a law, or raise `UnknownNameError`."""
+    """Return the code of a law in kernels, or raise `UnknownNameError`."""
     return LAWS.index(choice("law", name, LAWS, "a restitution law"))

@@ -1,4 +1,4 @@
-"""Derivatives of impacts at many contacts, by differences in contact space. (docs/derivatives.md, 11)"""
+"""Derivatives of impacts at several contacts, by finite differences. (docs/derivatives.md, 11)"""
 
 from __future__ import annotations
 
@@ -23,21 +23,20 @@ from .simultaneous import find_policy
 Impulses = Callable[[float], Array]
 
 FIRST, FINER, LEVELS = 4e-3, 0.25, 9
-"""The first step of differences, in parts of what makes a change as large as the data; how much shorter each
-one is than the last; how many are tried."""
+"""The first step of differences relative to the size of the data, the ratio of successive steps, and their
+largest number."""
 
 AGREED = MISSED
-"""Part of a derivative by which those by two steps may differ, and those to either side: beyond it there is
-none. The error of the second is 4⁻⁶ of that, or a third where the slope of P has a kink, and rounding's."""
+"""Largest relative difference of derivatives by two steps, or to both sides, for which a derivative exists.
+The truncation error of the second is 4⁻⁶ of the difference, or a third if the slope of P has a kink."""
 
 STEEP = FINER**0.75
-"""A change of P that is more than this part of that over the step before does not vanish with the step: P
-jumps, or has a slope without bound."""
+"""Least ratio of successive changes of P that shows a jump or an unbounded slope."""
 
 CENTRAL = np.array([45.0, -9.0, 1.0]) / 60.0
 ASIDE = np.array([18.0, -9.0, 2.0]) / 6.0
 INTO = np.array([360.0, -450.0, 400.0, -225.0, 72.0, -10.0]) / 60.0
-"""Weights of values at 1, 2, … steps: of both sides, of one, and of one where there is no other."""
+"""Weights of values at 1, 2, … steps: central differences; one side of them; one-sided differences."""
 
 
 class Change(NamedTuple):
@@ -51,7 +50,7 @@ class Change(NamedTuple):
 
 
 def coefficient_change(n: int, **of: int) -> Change:
-    """Return a change of one coefficient of a contact: its name and the number of the contact."""
+    """Return a unit `Change` of coefficients, given as name=index of the contact."""
     numbers = {name: np.zeros(n) for name in ("friction", "restitution", "stiffness")}
     for name, k in of.items():
         numbers[name][k] = 1.0
@@ -59,17 +58,17 @@ def coefficient_change(n: int, **of: int) -> Change:
 
 
 def coefficient_changes(n: int) -> list[Change]:
-    """Return the changes of μ of each of n contacts, then of e."""
+    """Return the unit changes of μ of each of n contacts, then of e."""
     return [coefficient_change(n, **{name: k}) for name in ("friction", "restitution") for k in range(n)]
 
 
 class Slopes(NamedTuple):
-    """How the impulses of an impact change along directions.
+    """Derivatives of the impulses of an impact along m directions.
 
     Attributes:
-        impulse: (3n, m); NaN where there is no derivative.
-        shared: (m,) whether contacts share forces in a way that has a derivative too. If not, a column still
-            has the change of velocities, and of nothing else.
+        impulse: (3n, m) derivatives; NaN if they do not exist.
+        shared: (m,) whether the distribution of impulses over redundant contacts is differentiable too. If
+            not, W times the column is still the derivative of the velocities.
         boundary: Flags of `Boundary`.
     """
 
@@ -79,17 +78,17 @@ class Slopes(NamedTuple):
 
 
 class _Slope(NamedTuple):
-    """A derivative.
+    """Derivative along one direction.
 
     Attributes:
-        impulse: (3n,) of P.
-        missed: By how much those of two steps differ, in velocities, of their size.
+        impulse: (3n,) derivative of P.
+        error: Relative difference of derivatives by two steps, in velocities.
         unshared: The same in impulses.
         jumps: Whether the change of P does not vanish with the step.
     """
 
     impulse: Array
-    missed: float
+    error: float
     unshared: float
     jumps: bool
 
@@ -117,7 +116,7 @@ def derivatives_of_many(
 
 
 def _parts(columns: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """Return slopes (3n, …) of n contacts by v°, the entries of W on and above its diagonal, μ and e."""
+    """Split derivatives (3n, …) of n contacts into those by v°, W (from its upper triangle), μ and e."""
     m = 3 * n
     first, second = np.triu_indices(m)
     by_velocity, by_entry, by_friction, by_restitution = np.split(
@@ -138,16 +137,16 @@ def slopes_along(
 ) -> Slopes:
     """Differentiate the impulses of an impact along directions, by differences of sixth order.
 
-    Changes of W keep its rank. There is no derivative where those to either side, or by the two best of some
-    steps, differ, where they are not linear in the direction, or if the impact is integrated by steps.
+    Changes of W keep its rank. A derivative does not exist if one-sided derivatives differ, if steps do not
+    converge, if it is not linear in the direction, or if the impact is integrated by steps.
 
     Args:
         inputs: The problem.
         policy: Name of its policy.
-        solution: The answer to it.
+        solution: Its solution.
         changes: The m directions.
-        side: 1 or −1: where there is no derivative that to this side is taken, if it exists.
-        options: Of the policy.
+        side: 1 or −1: derivatives that do not exist are replaced by those to this side, if these exist.
+        options: Options of the policy.
     """
     impulse = solution.impulse.ravel()
     if _by_steps(solution):
@@ -156,7 +155,7 @@ def slopes_along(
     along = _Differences(inputs, partial(find_policy(policy).run, **options), impulse)
     found = [along.slope(change) for change in changes]
     columns = np.array([one.impulse for one in found]).reshape(len(changes), impulse.size).T.copy()
-    known = np.array([one.missed <= AGREED for one in found], dtype=bool)
+    known = np.array([one.error <= AGREED for one in found], dtype=bool)
     boundary = Boundary.RANK if inputs.singular else Boundary.NONE
     if (inputs.friction == 0.0).any() or ((inputs.restitution == 0.0) | (inputs.restitution == 1.0)).any():
         boundary |= Boundary.BOUND
@@ -172,17 +171,17 @@ def slopes_along(
         columns[:, k] = np.nan
         if side is not None:
             found[k] = along.slope(changes[k], float(side))
-            columns[:, k] = found[k].impulse if found[k].missed <= AGREED else np.nan
+            columns[:, k] = found[k].impulse if found[k].error <= AGREED else np.nan
     return Slopes(columns, np.array([one.unshared <= AGREED for one in found], dtype=bool), boundary)
 
 
 def _by_steps(solution: ManySolution) -> bool:
-    """Whether an answer was integrated by steps, or is a bound's."""
+    """Return whether a solution was integrated by steps, or a bound on steps or events was reached."""
     return solution.story.bounded or (solution.events == 0 and bool(solution.impulse.any()))
 
 
 def _reason(inputs: ManyInputs, change: Change, slope: _Slope) -> Boundary:
-    """Return why there is no derivative along a change, as far as that is known."""
+    """Return the probable reason why there is no derivative along a change."""
     rest = ROUNDING * float(np.abs(inputs.velocity).max(initial=0.0))
     normal = np.abs(inputs.velocity[:, 2]) <= rest
     if change.velocity[normal, 2].any():
@@ -207,12 +206,12 @@ class _Differences:
         self._speed = float(np.abs(inputs.velocity).max(initial=0.0)) or 1.0
 
     def _of_factor(self, change: Change) -> Array:
-        """Return how L changes, W = L Lᵀ, such that W keeps its rank."""
+        """Return the change of L, W = L Lᵀ, for a change of W that keeps its rank."""
         moved = change.delassus[np.ix_(self._moves, self._moves)] @ self._inverse.T
         return np.asarray(moved - 0.5 * self._factor @ (self._inverse @ moved))
 
     def size(self, change: Change) -> float:
-        """Return the size of a change in parts of the data, zero for none."""
+        """Return the size of a change relative to the data."""
         inputs, of_factor = self._inputs, self._of_factor(change)
         within = self._inverse @ of_factor
         beyond = of_factor - self._factor @ within
@@ -226,7 +225,7 @@ class _Differences:
         )
 
     def _room(self, change: Change, sign: float) -> float:
-        """Return how far coefficients may change in a direction and stay in their ranges."""
+        """Return the largest multiple of a change with which coefficients stay in their ranges."""
         inputs = self._inputs
         values = np.concatenate([inputs.friction, inputs.restitution, 1.0 - inputs.restitution])
         rates = -sign * np.concatenate([change.friction, change.restitution, -change.restitution])
@@ -234,11 +233,11 @@ class _Differences:
         return float((values[falling] / rates[falling]).min(initial=np.inf))
 
     def one_sided(self, change: Change) -> bool:
-        """Whether a coefficient is at a bound of its range, along a change."""
+        """Return whether a coefficient that changes is at a bound of its range."""
         return min(self._room(change, 1.0), self._room(change, -1.0)) * self.size(change) < FIRST * FINER**3
 
     def _impulses(self, change: Change, size: float) -> Impulses:
-        """Return P (3n,) as a function of the part of a change, NaN where it is integrated by steps."""
+        """Return P (3n,) as a function of the multiple of a change; NaN if it is integrated by steps."""
         inputs, run, moves = self._inputs, self._run, np.ix_(self._moves, self._moves)
         of_factor = self._of_factor(change) / size
         turned = self._factor @ of_factor.T
@@ -259,14 +258,14 @@ class _Differences:
             )
             try:
                 found = run(problem, False)
-            except PinimpactError:  # there is no answer that far away
+            except PinimpactError:  # no solution for this change
                 return self._unknown
             return self._unknown if _by_steps(found) else found.impulse.ravel()
 
         return at
 
     def slope(self, along: Change, side: float = 0.0) -> _Slope:
-        """Return the derivative along a change, or that to a side, 1 or −1."""
+        """Return the derivative along a change; with `side`, 1 or −1, the one-sided one."""
         size = self.size(along)
         if size == 0.0:
             return _Slope(np.zeros_like(self._impulse), 0.0, 0.0, False)
@@ -282,17 +281,17 @@ class _Differences:
             before, change = change, self._apart(h * now, np.zeros_like(now))[1]
             best = best._replace(jumps=change > STEEP * before)
             if last is not None:
-                missed, unshared = self._apart(now, last)
-                missed = max(missed, self._apart(bend + now, now)[0])
-                if missed <= best.missed:
-                    best = _Slope(now * size, missed, unshared, best.jumps)
-            if best.missed <= min(AGREED, ROUNDOFF / (h * FINER**6)):  # a shorter step gains nothing
+                error, unshared = self._apart(now, last)
+                error = max(error, self._apart(bend + now, now)[0])
+                if error <= best.error:
+                    best = _Slope(now * size, error, unshared, best.jumps)
+            if best.error <= min(AGREED, ROUNDOFF / (h * FINER**6)):  # a shorter step gains nothing
                 break
             last, h = now, FINER * h
         return best
 
     def _apart(self, one: Array, other: Array) -> tuple[float, float]:
-        """Return by how much two derivatives differ in velocities and in impulses, in parts of their size."""
+        """Return the relative differences of two derivatives, in velocities and in impulses."""
 
         def part(weigh: Callable[[Array], Array]) -> float:
             scale = max(float(np.linalg.norm(weigh(x))) for x in (self._impulse, one, other))
@@ -301,19 +300,19 @@ class _Differences:
         return part(lambda x: self._factor.T @ x[self._moves]), part(lambda x: x)
 
     def _both(self, at: Impulses, h: float) -> tuple[Array, Array]:
-        """Return the derivative by steps h to both sides, and by how much those of the sides differ."""
+        """Return the central derivative by steps h, and the difference of the one-sided ones."""
         right, left = ([at(side * k * h) for k in (1, 2, 3)] for side in (1.0, -1.0))
         differences = np.array(right) - np.array(left)
         sums = np.array(right) + np.array(left) - 2.0 * self._impulse
         return CENTRAL @ differences / h, ASIDE @ sums / h
 
     def _into(self, at: Impulses, h: float) -> tuple[Array, Array]:
-        """Return the derivative by steps h to one side."""
+        """Return the one-sided derivative by steps h, and zeros."""
         values = np.array([at(k * h) - self._impulse for k in range(1, 7)])
         return INTO @ values / h, np.zeros_like(self._impulse)
 
     def linear(self, changes: Sequence[Change], slopes: Array) -> bool:
-        """Whether the derivative along a sum of changes is that of their derivatives."""
+        """Return whether the derivative along a weighted sum of changes is the sum of their derivatives."""
         weights = np.random.default_rng(0).choice([-1.0, 1.0], len(changes)) * np.linspace(
             0.5, 1.0, len(changes)
         )
@@ -322,4 +321,4 @@ class _Differences:
         if self.size(total) == 0.0:
             return True
         found = self.slope(total)
-        return found.missed <= AGREED and self._apart(found.impulse, slopes @ weights)[0] <= AGREED
+        return found.error <= AGREED and self._apart(found.impulse, slopes @ weights)[0] <= AGREED

@@ -1,4 +1,4 @@
-"""Impacts at many contacts: the numbers of a problem, checked, and the solution that numbers make up."""
+"""Impacts at several contacts: checks of a problem, and construction of its solution."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .problem import ZERO, ImpactProblem
 
 
 class ManyInputs(NamedTuple):
-    """A problem of n contacts, checked.
+    """A checked problem of n contacts.
 
     Attributes:
-        delassus: (3n, 3n) W.
-        velocity: (n, 3).
-        friction, restitution, stiffness: (n,).
-        law: Name of the law.
-        surface_velocity: (n, 3).
-        singular: Whether W is.
+        delassus: (3n, 3n) W [1/kg].
+        velocity: (n, 3) pre-impact velocities [m/s].
+        friction, restitution, stiffness: (n,) μ, e and κ.
+        law: Name of the restitution law.
+        surface_velocity: (n, 3) velocities of the surfaces [m/s].
+        singular: Whether W is singular.
     """
 
     delassus: Array
@@ -39,11 +39,11 @@ class ManyInputs(NamedTuple):
 
 
 def many_inputs(problem: ImpactProblem) -> ManyInputs:
-    """Return the numbers of a problem of n contacts, or raise what is wrong with them.
+    """Return the checked arrays of a problem of n contacts.
 
     Raises:
         InputError: Shapes that do not fit, numbers that are not finite or out of range, an indefinite W.
-        UnknownNameError: No such law.
+        UnknownNameError: An unknown law.
     """
     n = np.shape(problem.velocity)[0]
     velocity = np.array(finite_array("velocity", problem.velocity, (n, 3)))
@@ -57,7 +57,7 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
             value=problem.delassus,
         )
     delassus = 0.5 * (delassus + delassus.T)
-    moves = delassus.any(axis=1)  # rows that are zero have eigenvalues that are
+    moves = delassus.any(axis=1)  # rows of zeros have eigenvalues that are exactly zero
     eigenvalues = np.linalg.eigvalsh(delassus[np.ix_(moves, moves)]) if moves.any() else np.zeros(1)
     least = ZERO * max(1, n) * float(np.abs(eigenvalues).max())
     if eigenvalues[0] < -least:
@@ -104,10 +104,19 @@ def solution_of(
     path: ManyPath | None = None,
     bounded: bool = False,
 ) -> ManySolution:
-    """Return the solution that numbers make up; see `ManySolution` and `ManyStory`.
+    """Return a `ManySolution`.
 
-    The names are those of the policy and of the law that it has used; velocity and impulse are (3n,), counts
-    those of iterations and events. Without `segments` there is no path.
+    Args:
+        inputs: The problem.
+        names: Names of the policy and of the law that it has used.
+        velocity: (3n,) v⁺ [m/s].
+        impulse: (3n,) P [N s].
+        works: (n, 3) work of compression, restitution and friction [J].
+        counts: Numbers of iterations and events.
+        segments: As in `ManyStory`; None for no segments.
+        notes: As in `ManySolution`.
+        path: As in `ManySolution`.
+        bounded: As in `ManyStory`.
     """
     n = len(inputs.velocity)
     if segments is None:
@@ -117,14 +126,14 @@ def solution_of(
 
 
 def notes_on_law(inputs: ManyInputs) -> tuple[str, ...]:
-    """Note that another law is used than one that has been chosen: "poisson" is the default."""
+    """Return a note if the chosen law is not the one that is used; the default "poisson" is not a choice."""
     if inputs.law in ("energetic", "poisson") or not inputs.restitution.any():
         return ()
     return (f"The law {inputs.law!r} is for one contact; several at once follow the energetic law.",)
 
 
 def refuse(inputs: ManyInputs) -> None:
-    """Raise what says that no impulses can stop all approaches."""
+    """Raise `UnstoppableApproachError`: no impulses can stop all approaches."""
     j = int(np.argmin(inputs.velocity[:, 2]))
     raise UnstoppableApproachError(
         f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at "

@@ -1,4 +1,4 @@
-"""The answer to an impact at many contacts."""
+"""The result of an impact at several contacts."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Segments = tuple[tuple[Segment, ...], ...]
 
 MODES: tuple[Literal["slip", "stick"], ...] = ("slip", "stick")
 PHASES: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
-"""By the codes that the rows of a path have for them."""
+"""Names of the codes of modes and phases in the rows of a trace."""
 
 MOST_CORNERS = 6
-"""Contacts up to which `ManySolution.range` takes each combination of extreme stiffnesses, 64 of them."""
+"""Largest number of contacts for which `ManySolution.range` tries all combinations of extreme stiffnesses."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -55,10 +55,10 @@ class ManyPath:
 
 
 class VelocityRange(NamedTuple):
-    """Between which post-impact contact velocities answers lie.
+    """Range of the post-impact contact velocities.
 
     Attributes:
-        low, high: (n, 3) of each component [m/s].
+        low, high: (n, 3) smallest and largest value of each component [m/s].
     """
 
     low: Array
@@ -69,17 +69,17 @@ class VelocityRange(NamedTuple):
 
 
 class ManyStory(NamedTuple):
-    """What makes up those parts of a `ManySolution` that few ask for.
+    """Data for attributes of a `ManySolution` that are computed on first access.
 
     Attributes:
-        segments: Makes them.
-        works: (n, 3) of compression, restitution and friction [J].
-        surface_velocity: (n, 3) of the surfaces [m/s].
-        singular: Whether W is.
+        segments: Returns the segments.
+        works: (n, 3) work of compression, restitution and friction [J].
+        surface_velocity: (n, 3) velocities of the surfaces [m/s].
+        singular: Whether W is singular.
         bounded: Whether a bound on steps or events was reached.
-        resolved: Whether waves were followed; False for a plastic impact in their place.
-        again: Returns velocities (n, 3) with stiffnesses multiplied by factors (n,).
-        jumps: Returns whether data that are hardly different have another result.
+        resolved: Whether the propagation was resolved; False for a plastic impact instead.
+        again: Returns v⁺ (n, 3) with the stiffnesses multiplied by factors (n,).
+        jumps: Returns whether v⁺ jumps under small changes of the data.
     """
 
     segments: Callable[[], Segments]
@@ -197,7 +197,7 @@ class ManySolution:
         low, high = factors_of(stiffness)
         if not isinstance(draws, int) or draws < 0:
             raise InputError(f"draws: {in_short(draws)} given, an integer ≥ 0 expected", value=draws)
-        assert self.story.again is not None  # every answer of `solve_impact` has it
+        assert self.story.again is not None  # set by `solve_impact`
         n = len(self.velocity)
         corners = itertools.product((low, high), repeat=n) if n <= MOST_CORNERS else ()
         random = np.exp(np.random.default_rng(seed).uniform(np.log(low), np.log(high), (draws, n)))
@@ -260,9 +260,9 @@ def factors_of(stiffness: tuple[float, float]) -> tuple[float, float]:
 
 
 class PartSolution(Solution):
-    """What an impact at many contacts came to at one of them. It ended when all did.
+    """The result at one contact of an impact at several contacts; `status` is its own, `flags` those of all.
 
-    Its path is in its own P₃; where only others are pressed, P₃ stands still.
+    P₃ of its path is constant while only other contacts are pressed.
     """
 
     def __init__(self, whole: ManySolution, j: int) -> None:
@@ -273,7 +273,7 @@ class PartSolution(Solution):
         super().__init__(result, (*unused, 0, 0.0, NO_FACTOR), method=whole.simultaneous)
         self.part_of = whole
         work = whole.work
-        # instead of what would be found by solving again
+        # the cached properties would solve again
         self.__dict__["segments"] = whole.segments[j]
         self.__dict__["work"] = Work(
             *(float(part[j]) for part in (work.compression, work.restitution, work.friction, work.surface))
@@ -289,7 +289,7 @@ class PartSolution(Solution):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The effects that were computed, of the vocabulary `pinimpact.EFFECTS`."""
+        """The effects that occurred, with names of `pinimpact.EFFECTS`."""
         tangential = bool(self.impulse[:2].any())
         modes = {segment.mode for segment in self.segments}
         computed = (
@@ -315,7 +315,7 @@ def segments_of(rows: Array, count: int) -> Segments:
 
 
 def flags_of(segments: Segments, energy: float, size: float, singular: bool) -> Flag:
-    """Return what was special about an impact; `size` is the sum of the sizes of parts of its energy [J]."""
+    """Return the flags of an impact; `energy` is the sum of all work, `size` that of absolute values [J]."""
     flags = Flag.NONE
     for parts in segments:
         if any(part.mode == "stick" for part in parts):

@@ -1,4 +1,4 @@
-"""The registry of methods: "exact", the paper's Euler scheme, Runge–Kutta in its place, SciPy."""
+"""The registry of methods for one contact."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def find_method(name: str) -> Method:
 
 
 def check_options(owner: str, known: Mapping[str, Any], options: Mapping[str, Any]) -> None:
-    """Raise `UnknownNameError` for an option that a method or policy does not know."""
+    """Raise `UnknownNameError` for an unknown option of a method or policy."""
     for name, value in options.items():
         if name not in known:
             takes = ", ".join(known) or "no options"
@@ -136,12 +136,12 @@ def _load_steps(table: str, default: int) -> Run:
 
 
 RTOL, LEAST_RTOL, LARGEST_RTOL = 1e-8, 3e-14, 0.1
-"""Relative tolerances of chosen steps: the default, the least, which rounding allows, and the largest, beyond
-which estimates of errors are meaningless."""
+"""Relative tolerances of adaptive steps: the default, the smallest that rounding allows, and the largest for
+which error estimates are meaningful."""
 
 MOST_STEPS = 10**9
 FIRST_STEPS = 10
-"""The adaptive method starts with this part of the scale of the compression."""
+"""The scale of P₃ over the first step of the adaptive method."""
 
 
 def _load_adaptive() -> Run:

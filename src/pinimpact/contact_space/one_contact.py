@@ -1,4 +1,4 @@
-"""One contact: the method that solves it, and errors for what cannot be solved."""
+"""Solution of an impact at one contact, and the errors of problems without solution."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .solution import Path, Solution
 
 
 def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
-    """Raise the error of a failed solve, which names field and value; for the figure see `Result`."""
+    """Raise the error for a status without solution; for `figure` see `_kernels.ending.Result`."""
     v3, mu, e = inputs[8], inputs[9], inputs[10]
     if status == Status.INVALID_NUMBERS:
         for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
@@ -65,7 +65,7 @@ def solve_inputs(
     surface_velocity: Any = (0.0, 0.0, 0.0),
     **options: Any,
 ) -> Solution:
-    """Solve the problem given by its numbers; otherwise as `solve_impact`."""
+    """Solve a problem given as `Inputs`; other arguments as for `solve_impact`."""
     run = load_method(method)
     if options:
         check_options(method, METHODS[method].options, options)

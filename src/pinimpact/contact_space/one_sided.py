@@ -1,4 +1,4 @@
-"""Derivatives to one side where there are none to both. (docs/derivatives.md, 6)"""
+"""One-sided derivatives where the two-sided ones do not exist. (docs/derivatives.md, 6)"""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from ._kernels.tolerances import NEAR_LIMIT
 from .inputs import ENTRY, NO_FACTOR, Inputs
 
 STEPS = 1e-5, 1e-6, 1e-8, 1e-10, 1e-12
-"""Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""
+"""Distances from a boundary at which slopes are evaluated, relative to the size of an input; tried in this
+order until the limit of the slopes is known."""
 
 FOLLOWS = 0.05
-"""Difference of slope and values up to which they do: at a jump or a root it is at least a half."""
+"""Largest relative difference between the limit of slopes and a difference quotient; at a jump or a root it
+is at least a half."""
 
 
 def check_side(side: int | None, without: str = "") -> None:
-    """Refuse sides but 1 and −1, and all for what has no derivatives to one side."""
+    """Raise `InputError` for a side other than 1, −1 or None, or any side if `without` says what has none."""
     if side is None:
         return
     what = f"not available for {without}" if without else f"{in_short(side)} given; 1 or −1 is expected"
@@ -37,15 +39,15 @@ def fill_one_sided(
     side: int,
     moved: Callable[[int, float], tuple[Array, Array] | None],
 ) -> None:
-    """Fill columns that are NaN with their limits to one side, where these exist.
+    """Replace columns of NaN by their one-sided limits, if these exist.
 
     Args:
-        slopes: (m, n) of the values by the inputs.
-        values: (m,).
-        sizes: (n,) of the inputs.
+        slopes: (m, n) derivatives of the values by the inputs; columns of NaN are overwritten.
+        values: (m,) values.
+        sizes: (n,) sizes of the inputs; columns of size 0 are left.
         side: 1 or −1.
-        moved: Returns the values, and their slopes by an input, where that input is moved by a step; None if
-            there are none.
+        moved: moved(k, h) returns the values and their slopes by input k, with that input changed by h; None
+            if there is no solution.
     """
     for k in np.flatnonzero(np.isnan(slopes).any(axis=0) & (sizes > 0.0)).tolist():
         unit, best = side * sizes[k], None
@@ -67,7 +69,7 @@ def fill_one_sided(
 
 
 def _limit(once: Array, twice: Array, again: Array) -> tuple[Array, float]:
-    """Return the limit of slopes at h, 2h and 4h, which go as c hᵖ towards it, and its distance. (D32)"""
+    """Return the limit of slopes at h, 2h and 4h with errors c hᵖ, and the relative distance to it. (D32)"""
     size, change, more = (float(np.linalg.norm(x)) for x in (once, twice - once, again - twice))
     if max(change, more) <= COMPUTED * size:
         return once, 0.0
@@ -84,9 +86,14 @@ def fill_one_sided_of_problem(
     side: int,
     evaluate: Callable[[Inputs], tuple[Array, Array] | None],
 ) -> None:
-    """Fill slopes (6, 14) of v⁺ and P (6,) in contact space to one side, where there are none to both.
+    """Replace columns of NaN in slopes (6, 14) of v⁺ and P in contact space by their one-sided limits.
 
-    `evaluate` returns values and slopes of a problem; None if it has no answer.
+    Args:
+        inputs: The problem.
+        slopes: (6, 14) derivatives; columns of NaN are overwritten.
+        values: (6,) v⁺ and P.
+        side: 1 or −1.
+        evaluate: Returns values (6,) and slopes of a problem; None if it has no solution.
     """
     W, mu = np.array(inputs[:6])[ENTRY], inputs[9]
     sizes = np.sqrt(np.outer(W.diagonal(), W.diagonal())).ravel()
@@ -97,7 +104,7 @@ def fill_one_sided_of_problem(
         x: list[Any] = list(inputs)
         if 3 <= k < 12:
             i, j = divmod(k - 3, 3)
-            x[ENTRY[i, j]] += h if i == j else 0.5 * h  # W is symmetric, and both entries count
+            x[ENTRY[i, j]] += h if i == j else 0.5 * h  # half of a change of both symmetric entries
             x[13] = NO_FACTOR
         else:
             x[6 + k if k < 3 else k - 3] += h

@@ -1,4 +1,4 @@
-"""The contact-space problem: the numbers of a contact, its friction and restitution law, and their checks."""
+"""The contact-space problem and the checks of its values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
 
 ZERO = 32.0 * 2.0**-52
-"""Asymmetry of W, relative to its largest entry, that counts as rounding; as for its eigenvalues."""
+"""Asymmetry of W, relative to its largest entry, that is taken as rounding; also for its eigenvalues."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -59,13 +59,13 @@ class ImpactProblem:
 
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:
-    """Return a problem's numbers as the methods take them, or raise what its shapes and types call for.
+    """Return the `Inputs` of a problem after checks of shapes and types.
 
-    Values out of range are left to the solver, whose status `one_contact.raise_for_status` puts into words.
+    The solver checks the values; `one_contact.raise_for_status` raises the error for its status.
 
     Raises:
         InputError: Not numbers, a wrong shape, or a W that is not symmetric.
-        UnknownNameError: No such law.
+        UnknownNameError: An unknown law.
     """
     v1, v2, v3 = float_array("velocity", problem.velocity, (3,)).tolist()
     mu = real_number("friction", problem.friction)
@@ -77,7 +77,7 @@ def contact_inputs(problem: ImpactProblem) -> Inputs:
 
 
 def _factor(problem: ImpactProblem, upper: tuple[float, ...]) -> Array:
-    """Return the lower triangle C of a factor X, XXᵀ = CCᵀ, and its scale; refuse one that is not W's."""
+    """Return the factor (FACTOR,) of a problem: C with CCᵀ = XXᵀ, and its scale; check that XXᵀ is W."""
     given: Any = problem.factor
     X = finite_array("factor", given, (3, max(np.shape(given)[-1:] or (3,))))
     made = (X @ X.T)[np.triu_indices(3)]
@@ -98,13 +98,13 @@ def _factor(problem: ImpactProblem, upper: tuple[float, ...]) -> Array:
 
 
 def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of a (3, 3) W, row by row; refuse a W that is not symmetric."""
+    """Return the upper triangle of a (3, 3) W, row by row, or raise `InputError` if W is not symmetric."""
     rows = float_array("delassus", delassus, (3, 3)).tolist()
     (w11, w12, w13), (w21, w22, w23), (w31, w32, w33) = rows
     if not (w12 == w21 and w13 == w31 and w23 == w32):
         asymmetry = max(abs(w12 - w21), abs(w13 - w31), abs(w23 - w32))
         largest = max(abs(x) for row in rows for x in row)
-        if asymmetry > ZERO * largest:  # NaN is left to the solver's own checks
+        if asymmetry > ZERO * largest:  # False for NaN, which the solver rejects
             raise InputError(
                 f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, "
                 f"but W and its transpose differ by {asymmetry:.6g}{single_precision_hint(delassus)}",
@@ -115,7 +115,7 @@ def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, fl
 
 
 def single_precision_hint(delassus: Any) -> str:
-    """Return what to say of a W that is refused and holds numbers of less than double precision, or ""."""
+    """Return a hint for the error message of a W in less than double precision, or ""."""
     kind = getattr(delassus, "dtype", None)
     if kind in (np.float32, np.float16):
         return f"; its entries are {kind}, with rounding errors of this size: compute W in double precision"

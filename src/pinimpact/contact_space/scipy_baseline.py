@@ -1,6 +1,6 @@
-"""What one would write by hand with scipy.integrate.solve_ivp and its events; for comparison only.
+"""A straightforward solver with scipy.integrate.solve_ivp and its events; for comparison only.
 
-It shares no code with the other methods. Its threshold on |v_t| is the customary makeshift.
+It shares no code with the other methods, and takes |v_t| below a threshold as zero, as is common practice.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from .inputs import Array, Inputs
 from .laws import LAWS
 
 STANDSTILL = 10.0
-"""Speed of slip, over rtol·|v⁻|, that is taken as zero."""
+"""Slip speed, over rtol·|v⁻|, below which it is taken as zero."""
 
 MOST_RATES = 100_000
-"""Evaluations after which an integration is given up: it chatters around v_t = 0."""
+"""Largest number of evaluations of an integration, which may chatter around v_t = 0."""
 
 FOREVER = 1e6
-"""Impulse, over |v₃ᵒ|/c, at which an impact is given up."""
+"""Largest P₃ of an impact, over its scale."""
 
 MOVES = 20
+"""Largest number of integrations of an impact."""
 
 
 class _ChatterError(Exception):
@@ -39,7 +40,7 @@ class _UnstoppableError(Exception):
 
 
 def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
-    """Find the σ in which slip resumes: (λI + μA)σ = b with |σ| = 1 and λ > 0."""
+    """Return the direction σ of resumed slip: (λI + μA)σ = b with |σ| = 1 and λ > 0. (5.2)"""
 
     def direction(lam: float) -> Array:
         return np.asarray(np.linalg.lstsq(lam * np.eye(2) + mu * A, b, rcond=None)[0], dtype=np.float64)
@@ -52,12 +53,12 @@ def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
 
 
 class _Motion:
-    """The contact during an impact: velocities follow from y = (P, normal work, friction work).
+    """The contact during an impact.
 
     Attributes:
-        y: (5,) where it has come to.
-        compressing, slipping: Its phase and mode.
-        flags, calls: Flags so far, and how often rates were evaluated.
+        y: (5,) state: P, normal work, friction work.
+        compressing, slipping: Phase and mode.
+        flags, calls: Flags so far, and number of evaluations of the rates.
     """
 
     def __init__(self, inputs: Inputs, rtol: float) -> None:
@@ -68,7 +69,7 @@ class _Motion:
         self.size = float(np.linalg.norm(self.start))
         self._standstill = STANDSTILL * rtol * self.size
         self._stick = np.linalg.lstsq(self.A, self.b, rcond=None)[0]
-        self._shift = np.zeros(3)  # of the v_t that is set to zero
+        self._shift = np.zeros(3)  # correction that sets a small v_t to zero
         self.y, self.compressing, self.slipping, self.flags, self.calls = np.zeros(5), True, True, 0, 0
         # P₃ and normal work, of compression and of restitution
         self.compressed, self._restored, self._goal = np.zeros(2), np.zeros(2), 0.0
@@ -88,14 +89,14 @@ class _Motion:
         return np.array([-self.mu * sigma[0], -self.mu * sigma[1], 1.0])
 
     def begin_move(self) -> None:
-        """Find out whether it slips."""
+        """Set the mode, slip or not."""
         v = self.velocity(self.y)
         self.slipping = bool(self.mu > 0.0 and np.hypot(v[0], v[1]) > self._standstill)
         if not self.slipping and self.mu > 0.0:
             self.flags |= Flag.STICK if np.linalg.norm(self._stick) <= self.mu else Flag.SLIP_RESUMED
 
     def integrate(self) -> Any:
-        """Integrate to the next event of the present phase and mode; return what `solve_ivp` does."""
+        """Integrate to the next event of the present phase and mode; return the result of `solve_ivp`."""
         fixed = None if self.slipping else self.pull(self.velocity(self.y))
 
         def rates(_: float, y: Array) -> Array:
@@ -144,11 +145,11 @@ class _Motion:
         return [event for event, _ in events], end
 
     def take(self, y: Array, hit: Sequence[bool]) -> bool:
-        """Go to the end of a move, with the events that ended it; return whether the impact continues.
+        """Set the state y (5,) and process the events that `hit` marks; return whether the impact continues.
 
         Raises:
             LawError: A law that is not supported here.
-            _UnstoppableError: Nothing ended a compression.
+            _UnstoppableError: Compression does not end.
         """
         phase = self.compressed if self.compressing else self._restored
         phase += y[2:4] - self.y[2:4]
@@ -178,7 +179,7 @@ class _Motion:
 
 
 def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tuple[Any, ...]:
-    """Solve one impact with scipy; arguments `trace` and `path` and the result as the kernels have them."""
+    """Solve an impact with SciPy; arguments and result as for a `methods.Run`."""
     if not np.isfinite(inputs[:13]).all() or not (inputs[9] >= 0.0 and 0.0 <= inputs[10] <= 1.0):
         return _failed(Status.INVALID_NUMBERS)
     motion = _Motion(inputs, rtol)

@@ -1,4 +1,4 @@
-"""Impacts at many contacts at one instant: the policies of `solve_impact`, ``simultaneous=``."""
+"""Policies of `solve_impact` for several contacts at one instant, ``simultaneous=``."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ Run = Callable[..., ManySolution]
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """A way to resolve an impact at many contacts.
+    """A policy for impacts at several contacts.
 
     Attributes:
         run: run(inputs, record, **options) -> `ManySolution`.
-        kernels: Returns the kernels that it calls beyond those of single impacts.
-        summary: One line on what it is.
+        kernels: Returns its kernels, without those of single impacts.
+        summary: One line of description.
         options: Names of its keyword options and their defaults.
     """
 
@@ -55,10 +55,7 @@ _compiled: set[Any] = set()
 
 
 def compile_policy(name: str, *others: Any) -> None:
-    """Compile or load all kernels of a policy when they are first asked for, and others with them.
-
-    The others are kernels with declared signatures.
-    """
+    """Compile or load the kernels of a policy, and other kernels with declared signatures, on first use."""
     kernels = (*others, *find_policy(name).kernels())
     if not _compiled.issuperset(kernels):
         from .._compile.jit import compile_all
@@ -68,7 +65,7 @@ def compile_policy(name: str, *others: Any) -> None:
 
 
 def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
-    """Resolve an impact at n contacts; see `solve_impact`."""
+    """Solve an impact at n contacts; arguments as for `solve_impact`."""
     policy = find_policy(simultaneous)
     check_options(simultaneous, policy.options, options)
     inputs = many_inputs(problem)
@@ -88,16 +85,16 @@ def _resolved(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any],
 
 
 NEARBY = (ROUNDING, MISSED, -MISSED)
-"""Parts by which data are changed to look for jumps: more than rounding, and less than can be measured."""
+"""Relative changes of the data in the test for jumps: more than rounding, less than can be measured."""
 
 SMOOTH = 1e3
-"""How many times as much, at most, velocities after an impact change where they follow the data."""
+"""Largest ratio of the relative change of v⁺ to that of the data where the impact map is continuous."""
 
 
 def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], velocity: Array) -> bool:
-    """Return whether velocities (n, 3) after an impact change beyond measure with the axes of contacts.
+    """Return whether v⁺ (n, 3) jumps under small changes of the data.
 
-    Each is scaled a little, in the velocities as in W: that leaves redundancy, and zeros, as they are.
+    Each contact axis is scaled slightly, in v and in W. This preserves redundancy and zeros.
     """
     run = find_policy(simultaneous).run
     direction = np.random.default_rng(0).uniform(-1.0, 1.0, inputs.velocity.shape)
@@ -115,30 +112,30 @@ def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], ve
 
 
 SMALL = (LITTLE, 0.1 * LITTLE)
-"""Coefficients of restitution by which zero is replaced to look for a jump there; of smaller ones the course
-has too many events to follow."""
+"""Coefficients of restitution that replace zero in the test for a jump at e = 0; smaller ones cause too many
+events."""
 
 NO_LIMIT = 0.3
-"""How much of the change with the larger of these is left with the smaller, at least, where there is a jump:
-a tenth, and rounding, where zero is a limit."""
+"""Least ratio of the change of v⁺ by the smaller of these to that by the larger, where there is a jump; if
+the limit e → 0 exists, the ratio is about a tenth."""
 
 
 def _jumps_at_zero(inputs: ManyInputs, options: Mapping[str, Any], velocity: Array, size: float) -> bool:
-    """Return whether velocities (n, 3) after an impact with e = 0 are no limit e → 0, as far as is seen."""
+    """Return whether v⁺ (n, 3) for e = 0 appears not to be the limit e → 0."""
     none, moved, by_events = inputs.restitution == 0.0, [], {**options, "accuracy": 0.0}
     if not none.any():
         return False
     for small in SMALL:
         nearby = inputs._replace(restitution=np.where(none, small, inputs.restitution), law="energetic")
         found = find_policy("propagate").run(nearby, False, **by_events)
-        if found.notes:  # not followed from event to event
+        if found.notes:  # not integrated from event to event
             return False
         moved.append(float(np.abs(found.velocity - velocity).max()))
     return moved[1] > max(10.0 * MISSED * size, NO_LIMIT * moved[0])
 
 
 LAST = 5
-"""Impacts that are named where their number has come to its bound."""
+"""Number of the last impacts that the note on a sequence without end lists."""
 
 
 def _any(inputs: ManyInputs, record: bool, seed: int = 0) -> ManySolution:
@@ -194,7 +191,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
 
 
 def without_end(count: int, last: Sequence[str]) -> str:
-    """Tell of single impacts whose limit has been taken, the last few of them named. (14.8)"""
+    """Return the note on single impacts whose limit (14.8) was taken; `last` describes the last ones."""
     return (
         f"After {count} single impacts contacts still approached, and their limit was used, a "
         f"plastic impact of all contacts. The last impacts: {', '.join(last[-LAST:])}."

@@ -1,4 +1,4 @@
-"""The answer to an impact problem: the end state at once, the story behind it on first access."""
+"""The result of an impact at one contact; segments and work are computed on first access."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Segment:
 
 
 CAUSES = ("compression", "restitution", "friction", "surface")
-"""What does work in an impact, the attributes of `Work`."""
+"""The attributes of `Work`."""
 
 
 @dataclass(frozen=True, slots=True)

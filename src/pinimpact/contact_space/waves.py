@@ -1,4 +1,4 @@
-"""Waves through many contacts, the policy "propagate": from event to event, else by steps. (theory.md, 14)"""
+"""The policy "propagate": the LZB model, event-driven or, for very many events, by steps. (theory.md, 14)"""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from .methods import checked_rtol
 from .problem import ZERO
 
 RTOL, LEAST_RTOL = 1e-16, 1e-17
-"""Relative accuracy of the series of a step: the default, and the least."""
+"""Relative tolerance of the series of a step: the default, and the smallest."""
 
 MOST_STEPS = 1000
-"""Steps from one event to the next, and per contact in all, at most: about as many as adaptive steps take
-through the whole impact, whose number is as the fourth root of their accuracy."""
+"""Largest number of steps between two events, and per contact in all: about the cost of adaptive steps
+through the whole impact, whose number grows with the inverse fourth root of their tolerance."""
 
 COARSEST = 0.1 * LITTLE
-"""The least accuracy that may be asked of adaptive steps."""
+"""Largest tolerance of adaptive steps."""
 
 
 def propagate_waves(
     inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = BY_STEPS
 ) -> ManySolution:
-    """Follow the waves of an impact, with forces F ∝ δ^exponent and series to a relative accuracy `rtol`.
+    """Solve an impact at n contacts by the LZB model, with F ∝ δ^exponent and series to a tolerance `rtol`.
 
-    Where events cannot be followed one by one it is integrated by adaptive steps, which miss a part
-    `accuracy` of the largest velocity, or, where that is zero, taken as plastic.
+    If there are too many events, the impact is integrated by adaptive steps with a tolerance `accuracy` of
+    velocities relative to the largest, or taken as plastic if `accuracy` is zero or this fails.
     """
     from ._kernels.propagation import propagate
 
@@ -55,7 +55,7 @@ def propagate_waves(
     path = np.empty((2048, 6 * n + 1)) if record else np.empty((0, 6 * n + 1))
     while True:
         counts = np.zeros(5, dtype=np.int64)
-        stopped, missed = propagate(
+        stopped, residual = propagate(
             *(inputs.delassus, inputs.velocity.ravel(), inputs.friction, inputs.restitution),
             *(inputs.stiffness, float(exponent), float(rtol), most),
             *(velocity, impulse, works, counts, rows, path),
@@ -67,7 +67,7 @@ def propagate_waves(
             path = np.empty((4 * len(path), 6 * n + 1))
         else:
             break
-    if ended == 2 or not (stopped and missed <= max(MISSED, 100.0 * rtol)):
+    if ended == 2 or not (stopped and residual <= max(MISSED, 100.0 * rtol)):
         stepped = _propagate_in_steps(inputs, exponent, record, accuracy) if accuracy > 0.0 else None
         return stepped or _propagate_plastically(inputs)
     notes = notes_on_law(inputs)
@@ -84,9 +84,9 @@ def propagate_waves(
 
 
 def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
-    """Stop all approaches, and restore nothing."""
-    plastic, off = solve_together(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
-    if off > MISSED:  # an approach that only impulses beyond their cones stop
+    """Return the plastic impact, as a replacement of a propagation that failed."""
+    plastic, residual = solve_together(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
+    if residual > MISSED:  # only impulses outside the friction cones stop the approach
         refuse(inputs)
     text = "The propagation was not resolved to the usual accuracy; the impact is taken as plastic."
     return replace(
@@ -99,30 +99,29 @@ def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
 
 
 FIRST, TENFOLD = 20.0, 10.0
-"""By how much steps of the first pass are more accurate than what is asked, and each pass than the one
-before. Errors are proportional to that of a step: passes then differ by two times what is asked, the second
-misses a ninth of it, and one in fifty impacts needs a third."""
+"""The required accuracy over the tolerance of a step in the first pass, and the ratio of tolerances of
+successive passes. The error is proportional to the tolerance, so the second pass has a ninth of the
+difference of the two. One in fifty impacts needs a third pass."""
 
 MOST_SHORT_STEPS = 20_000
-"""Steps that a pass may take, about 0.3 s."""
+"""Largest number of steps of a pass, about 0.3 s."""
 
 SPENT = 50_000
-"""Steps after which no smaller coefficient of restitution is tried, once three are known: from these on two
-extrapolations can be compared."""
+"""Number of steps after which the extrapolation to e = 0 ends, once it has three coefficients of restitution,
+the least for which two extrapolations can be compared."""
 
 MOST_RESTITUTIONS = 8
-"""Coefficients of restitution, from `LITTLE` on and halved each time, from two of which steps extrapolate to
-e = 0, at most."""
+"""Largest number of coefficients of restitution, `LITTLE` and its halves, that are extrapolated to e = 0."""
 
 
 def _propagate_in_steps(
     inputs: ManyInputs, exponent: float, record: bool, asked: float
 ) -> ManySolution | None:
-    """Follow waves by adaptive steps, to what is asked; None where they do not come to an end."""
+    """Integrate an impact by adaptive steps to the accuracy `asked`; return None if this fails."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
     by_steps, steps, accuracy, rows = np.inf, 0, asked / FIRST, _rows_of(inputs.delassus)
-    missed = math.inf
+    error = math.inf
     numbers: Array | None = None
     last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
@@ -130,26 +129,27 @@ def _propagate_in_steps(
         found = _passes(little, exponent, rows, asked, accuracy, by_steps)
         if found is None:
             break
-        before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
+        before = numbers
+        numbers = found[0] if last is None else 2.0 * found[0] - last  # extrapolated, without the term in e
         last, by_steps, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
         if not plastic.any():
-            missed = by_steps
-        if before is not None:  # what two extrapolations differ by
+            error = by_steps
+        if before is not None:  # compare two extrapolations
             change = max(_differ(inputs, numbers, before), _approach_left(inputs, numbers))
-            missed = max(by_steps, change)
+            error = max(by_steps, change)
             if k > 1 and (change <= max(by_steps, AGREE, asked) or steps > SPENT):
                 break
     if numbers is None:
         return None
     impulse = _within_cones(inputs, numbers)
-    missed = max(missed, _differ(inputs, impulse.ravel(), numbers), _approach_left(inputs, impulse.ravel()))
-    if not missed <= LITTLE:
+    error = max(error, _differ(inputs, impulse.ravel(), numbers), _approach_left(inputs, impulse.ravel()))
+    if not error <= LITTLE:
         return None
     velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
     works = numbers[3 * n :].reshape(n, 3)
     text = (
         "The impact has many events in short succession and was integrated by adaptive steps, "
-        f"with velocities to about {missed:.1e} of the largest."
+        f"with velocities to about {error:.1e} of the largest."
     )
     story = None
     if record:
@@ -163,12 +163,12 @@ def _propagate_in_steps(
         *(inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0)),
         notes=(*notes_on_law(inputs), text),
         path=story,
-        bounded=missed > max(MISSED, TENFOLD * asked),
+        bounded=error > max(MISSED, TENFOLD * asked),
     )
 
 
 def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
-    """Return impulses (n, 3), first in what is given, with friction within its bounds and without pull."""
+    """Return the impulses (n, 3) at the start of `numbers`, projected onto the friction cones."""
     impulse = numbers[: inputs.velocity.size].reshape(-1, 3).copy()
     impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
     tangential = np.hypot(impulse[:, 0], impulse[:, 1])
@@ -178,54 +178,55 @@ def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
 
 
 def _passes(
-    inputs: ManyInputs, exponent: float, rows: Array, asked: float, accuracy: float, missed: float
+    inputs: ManyInputs, exponent: float, rows: Array, asked: float, accuracy: float, difference: float
 ) -> tuple[Array, float, int, float] | None:
-    """Step through an impact with more and more accuracy, until two passes agree.
+    """Integrate an impact with decreasing tolerances until two passes agree.
 
     Args:
         inputs: The impact.
-        exponent: Of its forces.
+        exponent: η.
         rows: (3n, r) J with W = J Jᵀ.
-        asked: What the last one may miss. It misses a ninth of what it differs by from the one before.
-        accuracy: Of the first pass; a coarser one takes its place where it takes too many steps.
-        missed: What that is known to miss, of a nearly equal impact; then one pass is enough.
+        asked: Required accuracy, relative to the largest velocity.
+        accuracy: Tolerance of a step in the first pass; is increased if there are too many steps.
+        difference: Difference to the previous pass for a nearly equal impact; one pass then suffices. Else
+            inf.
 
     Returns:
-        Impulses and works (6n,), by how much velocities differ from those of a pass with a tenth of the
-        accuracy, the number of all steps, and the accuracy; None where passes differ by more than `LITTLE`.
+        Impulses and work (6n,), the difference of velocities from those of the previous pass, the number of
+        all steps, and the tolerance; None if passes differ by more than `LITTLE`.
     """
-    nowhere = np.empty((0, 3 * len(inputs.velocity) + 1))
-    steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
-    if steps > 0 and missed < np.inf:
-        return best, missed, steps, accuracy
-    finer, total, missed = steps > 0, steps or MOST_SHORT_STEPS, np.inf
+    no_path = np.empty((0, 3 * len(inputs.velocity) + 1))
+    steps, best = _pass(inputs, exponent, rows, accuracy, no_path)
+    if steps > 0 and difference < np.inf:
+        return best, difference, steps, accuracy
+    finer, total, difference = steps > 0, steps or MOST_SHORT_STEPS, np.inf
     while steps == 0 and accuracy < max(AGREE, asked):
         accuracy *= TENFOLD
-        steps, best = _pass(inputs, exponent, rows, accuracy, nowhere)
+        steps, best = _pass(inputs, exponent, rows, accuracy, no_path)
         total += steps or MOST_SHORT_STEPS
     if steps == 0:
         return None
-    while finer and missed > TENFOLD * asked and accuracy > FINEST:
-        steps, other = _pass(inputs, exponent, rows, accuracy / TENFOLD, nowhere)
+    while finer and difference > TENFOLD * asked and accuracy > FINEST:
+        steps, other = _pass(inputs, exponent, rows, accuracy / TENFOLD, no_path)
         total += steps or MOST_SHORT_STEPS
         if steps == 0:
             break
-        best, missed, accuracy = other, _differ(inputs, best, other), accuracy / TENFOLD
-    if missed == np.inf:
-        steps, other = _pass(inputs, exponent, rows, TENFOLD * accuracy, nowhere)
-        total, missed = total + steps, _differ(inputs, best, other) if steps > 0 else np.inf
-    return (best, missed, total, accuracy) if missed <= LITTLE else None
+        best, difference, accuracy = other, _differ(inputs, best, other), accuracy / TENFOLD
+    if difference == np.inf:
+        steps, other = _pass(inputs, exponent, rows, TENFOLD * accuracy, no_path)
+        total, difference = total + steps, _differ(inputs, best, other) if steps > 0 else np.inf
+    return (best, difference, total, accuracy) if difference <= LITTLE else None
 
 
 def _pass(
     inputs: ManyInputs, exponent: float, rows: Array, accuracy: float, path: Array
 ) -> tuple[int, Array]:
-    """Return the number of steps through an impact, 0 for too many, and its impulses and works (6n,)."""
+    """Return the number of steps of an impact, 0 for too many, and its impulses and work (6n,)."""
     from ._kernels.propagation_steps import step_through
 
     n = len(inputs.velocity)
     size, mobility = float(np.abs(inputs.velocity).max()), np.diag(inputs.delassus)
-    length = 2.0 ** round(0.5 * math.log2(mobility.max()))  # of rows; a power of two is exact
+    length = 2.0 ** round(0.5 * math.log2(mobility.max()))  # of the largest row; a power of two is exact
     mass = 1.0 / length**2
     scaled = inputs.stiffness / np.max(inputs.stiffness * mobility[2::3] * mass)
     impulse, works = np.empty(3 * n), np.empty((n, 3))
@@ -245,16 +246,19 @@ def _rows_of(delassus: Array) -> Array:
 
 
 def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:
-    """Return by how much two impulses (3n,), first in what is given, differ in velocities, of the largest."""
+    """Return the largest difference of velocities by the impulses (3n,) at the start of two arrays.
+
+    It is relative to the largest velocity.
+    """
     rows = 3 * len(inputs.velocity)
     change = inputs.delassus @ (one[:rows] - other[:rows])
     return float(np.abs(change).max() / np.abs(inputs.velocity).max())
 
 
 def _approach_left(inputs: ManyInputs, impulse: Array) -> float:
-    """Return the speed at which contacts approach after impulses (3n,), the first given, of the largest.
+    """Return the largest speed of approach after the impulses (3n,) at the start of an array.
 
-    No limit leaves any, so it is what an extrapolation misses at least.
+    It is relative to the largest velocity, and a lower bound of the error of an extrapolation.
     """
     start = inputs.velocity.ravel()
     after = start + inputs.delassus @ impulse[: len(start)]
@@ -262,7 +266,7 @@ def _approach_left(inputs: ManyInputs, impulse: Array) -> float:
 
 
 def kernels_of_waves() -> tuple[Any, ...]:
-    """Return the kernels that it calls."""
+    """Return the kernels of the policy."""
     from ._kernels.plastic import impulses_together
     from ._kernels.propagation import propagate
     from ._kernels.propagation_steps import step_through

@@ -1,4 +1,4 @@
-"""How the sensitivities of v_t and of its path cross a move of any kind. (derivatives.md, D12 and D13)"""
+"""Propagation of the sensitivities of v_t and ∫v_t dP₃ through a move. (derivatives.md, (D12) and (D13))"""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .slip_works import ABSCISSAE, NODES, WEIGHTS
 
 @inlined
 def _integral_of_direction(x, y, rho, x0, rho0):
-    """Return ∫σ over a straight line of v_t, of the part along it and across.
+    """Return the components of ∫σ along and across a straight line of v_t.
 
-    From x₀ to x at the distance y from the origin, where |v_t| is ρ₀ and ρ.
+    The line leads from x₀ to x at the distance y from the origin; |v_t| is ρ₀ and ρ at its ends.
     """
     along = (x - x0) * (x + x0) / (rho + rho0)
     if y == 0.0:
@@ -29,7 +29,7 @@ def _integral_of_direction(x, y, rho, x0, rho0):
 
 @inlined
 def _without_friction(problem, p3, values):
-    """Fill the sensitivities where μ = 0, on the side μ > 0, at P₃ from the start. (D12)"""
+    """Fill the sensitivities at P₃ for μ = 0, to the side μ > 0. (D12)"""
     b1, b2, v1, v2 = problem.b1, problem.b2, problem.v1, problem.v2
     k1, k2 = problem.k1, problem.k2
     clear_rows(values, VT1, STOP)
@@ -40,7 +40,7 @@ def _without_friction(problem, p3, values):
     size = math.sqrt(b1 * b1 + b2 * b2)
     i1 = i2 = m1 = m2 = 0.0
     if size * p3 <= 0.25 * problem.speed:
-        # a short part of the line: 1/|v_t| is a polynomial
+        # on a short part of the line the Gauss rule is exact to rounding
         for i in range(NODES):
             q = p3 * ABSCISSAE[i]
             u1, u2 = v1 + b1 * q, v2 + b2 * q
@@ -67,13 +67,16 @@ def _without_friction(problem, p3, values):
 
 @inlined
 def _resume(problem, s1, s2, gain, start, end, values):
-    """Bring the sensitivities of resumed slip, σ and λ, from `start` to `end`, counted from v_t = 0. (D13)"""
+    """Propagate the sensitivities through resumed slip along σ with λ = `gain`. (D13)
+
+    `start` and `end` are P₃ at its ends minus that at v_t = 0.
+    """
     mu, kl, middle = problem.mu, problem.k1 * s1 + problem.k2 * s2, 0.5 * (start + end)
     _, skew, across, _, _ = in_frame(problem.a11, problem.a12, problem.a22, 0.0, 0.0, s1, s2)
     combine(values, VT1, -gain * s1, STOP, 0.0, STOP)
     combine(values, VT2, -gain * s2, STOP, 0.0, STOP)
     combine(values, PATH, 1.0, PATH, -(end - start) * gain * kl, STOP)
-    # δ(λσ) for a δb along σ, and across
+    # δ(λσ) for δb along and across σ
     angle = 1.0 / (gain + mu * across)
     skewed = mu * skew * angle
     along, aside = (s1, s2), (-skewed * s1 - gain * angle * s2, -skewed * s2 + gain * angle * s1)
@@ -85,10 +88,17 @@ def _resume(problem, s1, s2, gain, start, end, values):
 
 @always_inlined
 def cross(problem, units, move, after, start, end, rest_at, values):
-    """Bring the sensitivities to the end of a move; `after` is the row of the trace that follows its own.
+    """Propagate the sensitivities to the end of a move.
 
-    P₃ is `start` and `end` at its ends, and `rest_at` where v_t = 0. Returns −∫∫dP_t dP₃ (2) over the move,
-    and the rate λ of resumed slip.
+    Args:
+        problem, units: The `Problem` and its `Units`.
+        move, after: (MOVE,) the row of the move in the trace, and the next one.
+        start, end: P₃ at its ends.
+        rest_at: P₃ at v_t = 0, for resumed slip.
+        values: Rows of sensitivities; are overwritten.
+
+    Returns:
+        −∫∫dP_t dP₃ (2) over the move, and λ of resumed slip.
     """
     s1, s2, span = move[7], move[8], end - start
     half, mu, k1, k2 = 0.5 * span * span, problem.mu, problem.k1, problem.k2

@@ -1,4 +1,4 @@
-"""Derivatives of an impact by the moves of "exact". (derivatives.md, whose equations are cited as D n)"""
+"""Derivatives of an impact along the moves of "exact". (derivatives.md, with equations (D n))"""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ START_AT_REST, STICK_THRESHOLD, EVENTS_COINCIDE, JUMP, GRAZING, BOUND, RANK = (
 )
 
 GROWTH = 50.0
-"""Of the speed on a panel of two moves, or its fall: its square is then e⁸, which twelve nodes integrate."""
+"""Largest ratio of speeds on a panel of two moves: the square changes by e⁸, which twelve nodes integrate."""
 
 
 @inlined
 def _add_identity(problem, values, row, t, p1, p2, p3):
-    """Add what v₃ = v₃° + κ·(v_t − v_t°) + s P₃ changes by at fixed v_t, or its integral. (D4)
+    """Add the change of v₃ = v₃° + κ·(v_t − v_t°) + s P₃ at fixed v_t, or its integral over P₃. (D4)
 
-    `t` is 1 and p are P, or their integrals over P₃.
+    (t, p1, p2, p3) is (1, P), or its integral over P₃.
     """
     k1, k2 = problem.k1, problem.k2
     values[row + V1] -= k1 * t
@@ -98,8 +98,8 @@ def _tangential_rate(problem, mode, s1, s2, gain):
 
 @always_inlined
 def _at_event(problem, works, values, p1, p2, p3, q1, q2):
-    """Fill rows NORMAL and, if wanted, WORK_DONE at fixed P₃; q is ∫P_t dP₃. (D4)"""
-    if problem.mu > 0.0:  # slip knows b and μA only
+    """Fill row NORMAL and, with `works`, row WORK_DONE at fixed P₃; (q1, q2) is ∫P_t dP₃. (D4)"""
+    if problem.mu > 0.0:  # slip depends on μ and A through μA only
         per = 1.0 / problem.mu
         mean, half = 0.5 * (problem.a11 + problem.a22), 0.5 * (problem.a11 - problem.a22)
         for row in (VT1, VT2, PATH):
@@ -114,7 +114,7 @@ def _at_event(problem, works, values, p1, p2, p3, q1, q2):
 
 @always_inlined
 def _to_user(view, values, out):
-    """Turn and scale the derivatives back from the `View` into (6, SLOPES)."""
+    """Convert the derivatives from the `View` to the caller's axes and units, `out` (6, SLOPES)."""
     lean1, lean2 = view.lean1, view.lean2
     if not view.leaning:
         lean1, lean2 = 0.0, 1.0
@@ -145,12 +145,12 @@ def _to_user(view, values, out):
 
 @always_inlined
 def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
-    """Fill the derivatives at the end, where P₃ changes by row END, from dv/dP₃ and P there. (D15)"""
+    """Fill the rows of v⁺ and P, with dv/dP₃ and P at the end and the change of P₃ in row END. (D15)"""
     a11, a12, a22 = problem.a11, problem.a12, problem.a22
     det = a11 * a22 - a12 * a12
     trace = a11 + a22
     i11, i12, i22 = a22 / det, -a12 / det, a11 / det
-    if trace == 0.0:  # nothing moves sideways
+    if trace == 0.0:  # no tangential mobility
         i11 = i12 = i22 = 0.0
     elif problem.flat:
         i11, i12, i22 = a11 / (trace * trace), a12 / (trace * trace), a22 / (trace * trace)
@@ -172,9 +172,13 @@ def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
 
 @always_inlined
 def _ending(problem, values, restored, rate, v3, total):
-    """Fill row END: how the P₃ at the end changes, for dv₃/dP₃ and v₃ there. (D14)
+    """Fill row END, the change of P₃ at the end. (D14)
 
-    `restored` is whether there was restitution, `total` the sum that the law counts over compression.
+    Args:
+        problem, values: The `Problem`, and the rows of sensitivities.
+        restored: Whether there was restitution.
+        rate, v3: dv₃/dP₃ and v₃ at the end.
+        total: The impulse or work of compression, by the quantity of the law.
     """
     e = problem.e
     if problem.counts == code.IMPULSE:
@@ -211,7 +215,7 @@ def _without_impact(v3, out):
 
 @always_inlined
 def _book(problem, values, event, rate, p3):
-    """Add to row COMPRESSED what an event at P₃ does to the law's sum; return the sum's gain. (D14)"""
+    """Add the change of an event at P₃ to row COMPRESSED; return its contribution to the sum itself. (D14)"""
     sign = 1.0 if event == code.COMPRESSION_ENDS else -1.0
     row, per = (WORK_DONE, sign) if problem.counts == code.WORK else (NORMAL, -sign / rate)
     combine(values, COMPRESSED, 1.0, COMPRESSED, per, row)
@@ -220,9 +224,9 @@ def _book(problem, values, event, rate, p3):
 
 @always_inlined
 def _needed(problem, moves, rows):
-    """Return the last move of slip that anything depends on, and the one at whose end v_t = 0; −1: none.
+    """Return the last move of slip on which the result depends, and the one at whose end v_t = 0; −1: none.
 
-    In stick nothing of the path is left but events before it, unless its work counts.
+    Stick depends on the path before only through its events, unless the law is that of work.
     """
     stop = last = -1
     resumed = problem.counts == code.WORK
@@ -239,17 +243,17 @@ def _needed(problem, moves, rows):
 
 @inlined
 def _repels(problem, s1, s2):
-    """Return whether slip that stops straight along σ turns away from small changes across: η < ½. (D33)"""
+    """Return whether small changes across σ grow as straight slip stops: η < ½. (D33)"""
     al, _, ap, bl, _ = in_frame(problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, s1, s2)
     return not problem.flat and 2.0 * problem.mu * ap < problem.mu * al - bl
 
 
 @always_inlined
 def _join(moves, rows):
-    """Join moves of turning slip that follow each other in pairs; return how many moves are left.
+    """Join pairs of consecutive moves of turning slip in place; return the new number of moves.
 
-    A series ends at a third of the way to its singularity. Gauss' rule is right to rounding up to 5/9 of it,
-    as far as two of them go, and for a speed that changes by `GROWTH` at most.
+    A series ends at a third of the distance to its singularity, two series at 5/9. Up to there the Gauss rule
+    is exact to rounding, if the speed changes by at most `GROWTH`.
     """
     i = left = 0
     while i < rows:
@@ -277,11 +281,16 @@ def _join(moves, rows):
 
 @always_inlined
 def _follow(problem, units, view, moves, values, rows, after3):
-    """Go through the moves and fill the rows of v⁺ and P, in the `View`.
+    """Propagate the sensitivities through all moves and fill the rows of v⁺ and P, in the `View`.
 
-    Of its trace, moves (m, MOVE), so many rows are filled; values (ROOM,) are scratch, see
-    `slip_derivatives`, after3 is v₃⁺. Returns flags of `Boundary`, and how many columns have no derivative,
-    from the first on.
+    Args:
+        problem, units, view: The `Problem`, its `Units` and its `View`.
+        moves, rows: (m, MOVE) trace of `record_course`, and its number of rows.
+        values: (ROOM,) scratch; rows OUT1 to P3 are overwritten with the result.
+        after3: v₃⁺.
+
+    Returns:
+        Flags of `Boundary`, and the number of columns, from the first on, without derivative.
     """
     boundary, unknown, rows = code.NO_FLAG, code.NONE_YET, _join(moves, rows)
     at_rest = problem.speed <= VANISHED
@@ -307,7 +316,7 @@ def _follow(problem, units, view, moves, values, rows, after3):
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
         if i == stop:
             rest_at = p3
-            if 0.0 < abs(move[11]) < math.inf:  # it still turned, so P* depends on directions as from rest
+            if 0.0 < abs(move[11]) < math.inf:  # slip still turned: P* has derivatives along directions only
                 boundary |= START_AT_REST
             elif _repels(problem, move[7], move[8]):
                 boundary |= EVENTS_COINCIDE
@@ -338,7 +347,10 @@ def _follow(problem, units, view, moves, values, rows, after3):
 
 @always_inlined
 def _differentiate(problem, view, flags, moves, values, out, rows, after3):
-    """Fill `out` with the derivatives, NaN in columns that have none; return flags of `Boundary`."""
+    """Fill `out` (6, SLOPES) with the derivatives, NaN if they do not exist; return flags of `Boundary`.
+
+    Other arguments as for `_follow`.
+    """
     after3 = math.ldexp(after3, -view.scale_v)
     boundary, unknown = _follow(problem, slip_units(problem), view, moves, values, rows, after3)
     _to_user(view, values, out)
@@ -378,11 +390,10 @@ def differentiate_into(
     """Solve one problem and differentiate v⁺ and P by all inputs.
 
     Args:
-        w11 … factor: As in `solve_into`.
-        scratch: (SCRATCH + ROOM,) of any numbers,
-        moves: and (MAX_MOVES + 1, MOVE).
-        out: (6, SLOPES) takes the derivatives; NaN in columns that have none.
-        i, numbers, codes, boundaries: Row i takes the answer and flags, as in `differentiate_rows`.
+        w11 … factor: As for `solve_into`.
+        scratch, moves: (SCRATCH + ROOM,), (MAX_MOVES + 1, MOVE) scratch.
+        out: (6, SLOPES) is overwritten with the derivatives; NaN if they do not exist.
+        i, numbers, codes, boundaries: Row i is overwritten with result and flags, as in `differentiate_rows`.
     """
     factor, scratch, moves, numbers = borrowed(factor), borrowed(scratch), borrowed(moves), borrowed(numbers)
     codes, out, boundaries = borrowed(codes), borrowed(out), borrowed(boundaries)
@@ -415,9 +426,9 @@ def differentiate_rows(
     """Solve N problems and differentiate v⁺ and P by all inputs.
 
     Args:
-        delassus … codes: As in `batch.solve_rows`.
-        slopes: (N, 6, SLOPES) receives the derivatives by v, W, μ and e; NaN in columns that have none.
-        boundaries: (N,) receives flags of `Boundary`.
+        delassus … codes: As for `batch.solve_rows`.
+        slopes: (N, 6, SLOPES) is overwritten with the derivatives by v, W, μ and e; NaN if they do not exist.
+        boundaries: (N,) is overwritten with flags of `Boundary`.
     """
     scratch, moves, none = np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES + 1, MOVE)), np.empty(0)
     delassus, velocity, friction = borrowed(delassus), borrowed(velocity), borrowed(friction)

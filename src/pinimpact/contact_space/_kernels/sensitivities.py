@@ -1,6 +1,6 @@
-"""Rows of sensitivities of an impact, and how a stretch of slip takes them to its end. (derivatives.md)
+"""Layout of the sensitivities of an impact, and operations on their rows. (derivatives.md)
 
-Rows are handled four numbers at a time, which shares instructions.
+Rows are processed four numbers at a time, for vector instructions.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ V1, V2, V3, B1, B2, C, MEAN, SKEW, CHI, MU, E = (np.int64(i) for i in range(11))
 """Columns of sensitivities, with W = [[A, b], [bᵀ, c]] and A = MEAN + [[SKEW, CHI], [CHI, −SKEW]]."""
 
 ROW = 12
-"""Numbers in a row of sensitivities, the last one of no meaning: they are handled four at a time."""
+"""Length of a row of sensitivities, a multiple of four; the last number is unused."""
 
 ROWS = 14
 VT1, VT2, PATH, STOP, NORMAL, WORK_DONE, COMPRESSED, END, *_ENDS = (np.int64(ROW * i) for i in range(ROWS))
-"""Where rows of sensitivities begin in scratch: v_t and κ·∫v_t dP₃, both at fixed P₃, and the P₃ at which
-v_t = 0; v₃ and its work at fixed P₃, the law's sum over compression, and the P₃ at which an event is."""
+"""Offsets of rows of sensitivities in scratch: v_t and κ·∫v_t dP₃ at fixed P₃, and the P₃ at which v_t = 0;
+v₃ and its work at fixed P₃, the impulse or work of compression, and the P₃ at the end."""
 
 OUT1, OUT2, OUT3, P1, P2, P3 = _ENDS
-"""v⁺ and P."""
+"""Offsets of the rows of v⁺ and P."""
 
 
 @always_inlined
@@ -63,16 +63,16 @@ def combine(values, out, a, i, b, j):
 
 @always_inlined
 def clear_rows(values, first, last):
-    """Fill rows of sensitivities with zeros, from the first up to, but not including, the last."""
+    """Fill rows of sensitivities with zeros, from offset `first` up to, but not including, `last`."""
     for k in range(first, last, 4):
         keep(values, k, (0.0, 0.0, 0.0, 0.0))
 
 
 @always_inlined
 def add_response(values, k, s1, s2, by_b, by_a, x):
-    """Add to rows VT1, VT2 and PATH what the k-th θ of `_add_sources` does to them, with the axes along σ.
+    """Add the response to the k-th θ of `slip_panels._add_sources`, along σ, to rows VT1, VT2 and PATH.
 
-    `by_b` and `by_a` are factors of b and A, x what ∂F/∂θ does to each row.
+    `by_b` and `by_a` are factors for b and A, x (3) the response of each row to ∂F/∂θ.
     """
     cos2, sin2 = s1 * s1 - s2 * s2, 2.0 * s1 * s2
     turns = (s1, s2), (-s2, s1), (-cos2, -sin2), (sin2, -cos2), (-1.0, 0.0)
@@ -86,10 +86,15 @@ def add_response(values, k, s1, s2, by_b, by_a, x):
 
 @always_inlined
 def arrive(values, s1, s2, per, mu, x, y, sources):
-    """Take the sensitivities to the end of a stretch of slip, which starts along σ; `per` is 1/ω.
+    """Propagate the sensitivities to the end of a part of slip, by their linear map (D3).
 
-    x and y are what rows VT1, VT2 and PATH become of a change of v_t along σ and across, `sources` of each θ
-    of `_add_sources`.
+    Args:
+        values: Rows of sensitivities; VT1, VT2 and PATH are overwritten.
+        s1, s2: σ at the start.
+        per: 1/ω.
+        mu: μ.
+        x, y: (3) response of these rows to changes of v_t along σ and across.
+        sources: (5, 3) their response to each θ of `slip_panels._add_sources`.
     """
     m11, m12 = x[0] * s1 - y[0] * s2, x[0] * s2 + y[0] * s1
     m21, m22 = x[1] * s1 - y[1] * s2, x[1] * s2 + y[1] * s1

@@ -11,10 +11,10 @@ from .slip_panels import HALF_ANGLE, INVARIANT, STRAIGHT, Slip, cross_panel, fra
 from .tolerances import TAIL
 
 EFOLDS = 4.0
-"""Change of ln r or ln g on a panel, at most: r²/g is then e¹², which twelve nodes integrate."""
+"""Largest change of ln r or ln g on a panel: r²/g changes by e¹², which twelve nodes integrate."""
 
 NEAREST = 1.6
-"""Length of a panel, in L, over the distance of the next invariant direction."""
+"""Largest length of a panel in L, over the distance of the next invariant direction."""
 
 
 @inlined
@@ -25,7 +25,7 @@ def _integral(z, time):
 
 @inlined
 def _nested(x, z, time):
-    """Return ∫e^{xτ} (∫e^{zτ} dτ) dτ, by parts or as a difference, whichever cancels less."""
+    """Return ∫e^{xτ} (∫e^{zτ} dτ) dτ, by the formula with less cancellation."""
     grown, both = math.exp(x * time), _integral(x + z, time)
     if grown == 0.0 or abs(x) > abs(z):
         return ((grown * _integral(z, time) if grown > 0.0 else 0.0) - both) / x
@@ -34,10 +34,17 @@ def _nested(x, z, time):
 
 @inlined
 def _cross_straight(units, slip, around, time, mu, k1, k2, values):
-    """Take the sensitivities along straight slip for a time of many e-folds, or to v_t = 0. (D11), (D33)
+    """Propagate the sensitivities along straight slip over many e-folds, or to v_t = 0. (D11), (D33)
 
-    `around` has the polynomials of the direction that it keeps, to more digits than it has here; an infinite
-    time leads to v_t = 0. Returns the `Slip` at its end, and the impulse until then.
+    Args:
+        units, slip: The `Units`, and the `Slip` at the start.
+        around: Accurate `Polynomials` of the direction of slip.
+        time: τ; inf for slip to v_t = 0.
+        mu, k1, k2: μ and κ.
+        values: Rows of sensitivities; are overwritten.
+
+    Returns:
+        The `Slip` at the end, and its impulse.
     """
     s1, s2, speed, turn = slip
     here, n0, _, _, _ = frame_polynomials(units, s1, s2, turn)
@@ -58,7 +65,7 @@ def _cross_straight(units, slip, around, time, mu, k1, k2, values):
     late *= speed
     half = 0.5 * kl * span * span
     if grown == 0.0:
-        # row VT1 is to be that of P*; a shift along F is one of P*, however little slip still turns (D5)
+        # row VT1 becomes that of P*; a shift along F shifts P* exactly, even if slip still turns (D5)
         x = -(1.0 - leaned * turn / f) / f, 0.0, kl * span
         y, along, aside = (-leaned / f, 0.0, path), (-span / f, 0.0, half), (-late / f, 0.0, across)
     else:
@@ -76,9 +83,12 @@ def _cross_straight(units, slip, around, time, mu, k1, k2, values):
 
 @inlined
 def _next_panel(around, root, left):
-    """Return the length of the next panel around an invariant direction, and how much slip still turns.
+    """Return the length of the next panel around an invariant direction, and the size of the remaining turn.
 
-    It has the polynomials `around`, and the half-angle tangent `root` from here; L is what is left.
+    Args:
+        around: `Polynomials` of the invariant direction.
+        root: Half-angle tangent to it.
+        left: Remaining L.
     """
     at = abs(root)
     others = at * (abs(around.p2) + at * (abs(around.p3) + at * abs(around.p4))) / abs(around.p1)
@@ -90,16 +100,20 @@ def _next_panel(around, root, left):
 
 @inlined
 def _turn_to(units, slip, root):
-    """Return p₀ by the root: as p falls towards it, an error of their ratio would grow like 1/p."""
+    """Return p₀ computed from the root of p; an error of their ratio would grow like 1/p."""
     p, _, _, _, _ = frame_polynomials(units, slip.s1, slip.s2, slip.turn)
     return -root * (p.p1 + root * (p.p2 + root * (p.p3 + root * p.p4)))
 
 
 @always_inlined
 def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values):
-    """Take the sensitivities across a `Move` of slip, and return ∫∫σ dP₃ dP₃ (2) over it.
+    """Propagate the sensitivities through a `Move` of slip; return ∫∫σ dP₃ dP₃ (2) over it.
 
-    `span` is its normal impulse times ω, `fast` the speed at its end; other arguments as of `cross_panel`.
+    Args:
+        length, root: Of the `Move`.
+        span: Its normal impulse times ω.
+        fast: The slip speed at its end.
+        units, slip, mu, k1, k2, works, values: As for `cross_panel`.
     """
     i1 = i2 = m1 = m2 = left = size = 0.0
     kind, first = int(STRAIGHT), slip.speed  # int(): numba 0.61 cannot unify its literals
@@ -136,7 +150,7 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values)
                 form, part = int(STRAIGHT), -step / rho
             else:
                 z = math.exp(-step)
-                # L in the panel's own axes
+                # L in the axes of the panel
                 whole, part = root, step + math.log1p(root * root * z) - math.log1p(root * root)
             root *= math.exp(-step)
         left -= step

@@ -1,7 +1,7 @@
 """Sensitivities across a panel of slip that turns. (derivatives.md, 2)
 
-The nodes of (3.17) integrate everything that is needed. Nothing is divided by g, which vanishes on invariant
-directions. Axes and units are those of the `View`, and impulses here are multiplied by ω.
+All integrals use the nodes of (3.17). No quantity is divided by g, which vanishes on invariant directions.
+Axes and units are those of the `View`; impulses are multiplied by ω.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ _FIRST, _NODE_ROWS = ROW * ROWS, 17
 AT, DS, BEND, COS, SIN, SPEED, DRIFT, LATER, GROWTH, PUSH, BENT, SLIDES, SWEEPS, IMPULSE, LAG, SLID, SWEPT = (
     np.int64(_FIRST + NODES * i) for i in range(_NODE_ROWS)
 )
-"""Where rows of what there is at the nodes begin: ξ, its weights, H, σ in the panel's frame, r, dP₃/r and
-the same over E; with weights, what ln R, P₃, K, V and M grow by; and the last four up to each node."""
+"""Offsets of rows of values at the nodes: ξ, its weights, H, σ in the axes of the panel (2), r, dP₃/r, dP₃/(r
+E); weighted integrands of ln R, P₃, K, V and M; the integrals of the last four up to each node."""
 
 RADIAL, ANGLE, LATE, PATHS, IMPULSES = (np.int64(_FIRST + NODES * _NODE_ROWS + 20 * i) for i in range(5))
-"""Where sums over every fourth node begin, five times four each. (D10)"""
+"""Offsets of sums over every fourth node, five times four each. (D10)"""
 
 ROOM = _FIRST + NODES * _NODE_ROWS + 100
-"""Floats of scratch for sensitivities and for what there is at the nodes."""
+"""Length of the scratch array: rows of sensitivities, values at the nodes, and sums."""
 
 HALF_ANGLE, INVARIANT, STRAIGHT = 0, 1, 2
-"""What a panel's length is: x of (3.9), L of (4.2), s of (3.5)."""
+"""Kind of a panel, by the variable of its length: x of (3.9), L of (4.2), s of (3.5)."""
 
 
 class Slip(NamedTuple):
-    """Where slip stands: direction, speed and p₀."""
+    """State of slip: direction, speed and p₀."""
 
     s1: float
     s2: float
@@ -62,7 +62,7 @@ def _total(values, k):
 
 @always_inlined
 def _risen(s, j, i, term):
-    """Return what integrals up to the nodes from i on are with the term of node j."""
+    """Add the contribution of node j to the integrals up to four nodes, from i on."""
     return (
         s[0] + INTEGRALS[j, i] * term,
         s[1] + INTEGRALS[j, i + 1] * term,
@@ -75,7 +75,7 @@ def _risen(s, j, i, term):
 def _integrate(values, row, out):
     """Fill row `out` with the integrals of `row` up to the nodes, and return the whole. (3.17)"""
     a = b = c = d = e = f = 0.0, 0.0, 0.0, 0.0
-    for j in range(0, NODES, 2):  # two sums, which hide each other's latency
+    for j in range(0, NODES, 2):  # two independent sums, to hide latency
         term, other = values[row + j], values[row + j + 1]
         a, b, c = _risen(a, j, AT0, term), _risen(b, j, AT4, term), _risen(c, j, AT8, term)
         d, e, f = _risen(d, j + 1, AT0, other), _risen(e, j + 1, AT4, other), _risen(f, j + 1, AT8, other)
@@ -89,7 +89,7 @@ def _integrate(values, row, out):
 
 @inlined
 def frame_polynomials(units, s1, s2, turn):
-    """Return the polynomials of a direction and the coefficients of N. (D7)"""
+    """Return the `Polynomials` in axes along (s1, s2), and the coefficients of N. (D7)"""
     al, ax, ap, bl, bp = in_frame(units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2)
     p = polynomials(al, ax, ap, bl, bp)
     return p, p.m1 + turn, p.m2 + p.p1 - p.m0, p.m1 + p.m3 + p.p2, -2.0 * bl
@@ -97,11 +97,11 @@ def frame_polynomials(units, s1, s2, turn):
 
 @inlined
 def _place(kind, u, whole, rate):
-    """Return ξ = 2t/p₀ and dξ/du. (D8)"""
+    """Return ξ = 2t/p₀ and dξ/du at u; `whole` is 2t*/p₀, `rate` p₁/2. (D8)"""
     if kind == HALF_ANGLE or (kind == STRAIGHT and rate == 0.0):
         return u, 1.0
     x = -u if kind == INVARIANT else rate * u
-    # both to rounding, by one function
+    # both accurate to rounding by one function call
     grown = math.expm1(x) if abs(x) < 0.5 else math.exp(x)
     grown, power = (grown, 1.0 + grown) if abs(x) < 0.5 else (grown - 1.0, grown)
     return (-whole * grown, whole * power) if kind == INVARIANT else (grown / rate, power)
@@ -109,7 +109,7 @@ def _place(kind, u, whole, rate):
 
 @always_inlined
 def _fill_rates(p, n0, n1, n2, n3, h, values):
-    """Fill what does not depend on r, from ξ and its weights. (D7)"""
+    """Fill the rows of scratch that do not depend on r, from ξ and its weights. (D7)"""
     for i in range(0, NODES, 4):
         xi = four(values, AT + i)
         t = scaled(h, xi)
@@ -131,7 +131,7 @@ def _fill_rates(p, n0, n1, n2, n3, h, values):
 
 @always_inlined
 def _fill_nodes(units, slip, kind, size, root, values):
-    """Fill the rows of scratch that slip's course gives; return t, H, E and speed at its end. (D6)–(D8)"""
+    """Fill the rows of scratch from AT to GROWTH; return t, H, E and the speed at the end. (D6)–(D8)"""
     h = 0.5 * slip.turn
     p, n0, n1, n2, n3 = frame_polynomials(units, slip.s1, slip.s2, slip.turn)
     rate = 0.5 * p.p1
@@ -154,9 +154,9 @@ def _fill_nodes(units, slip, kind, size, root, values):
 
 @always_inlined
 def _fill_integrals(values, works, kl, kp):
-    """Fill the rows of scratch of P₃, K and, if wanted, V and M; return all four at the end. (D6), (D10)
+    """Fill the rows of scratch of P₃, K and, with `works`, V and M; return these four at the end. (D6), (D10)
 
-    (kl, kp) is κ in the panel's frame.
+    (kl, kp) is κ in the axes of the panel.
     """
     for i in range(0, NODES, 4):
         push = product(four(values, DRIFT + i), four(values, SPEED + i))
@@ -183,7 +183,7 @@ def _add(values, row, k, x):
 
 @always_inlined
 def _add_sources(values, row, along, across, direction):
-    """Add what ∂F/∂θ counts along and across slip at four nodes, for θ = b∥, b⊥, −δ, −χ, −α. (D10)"""
+    """Add the contributions of ∂F/∂θ along and across slip at four nodes, θ = b∥, b⊥, −δ, −χ, −α. (D10)"""
     c, s, c2, s2 = direction
     _add(values, row, 0, minus(product(along, c), product(across, s)))
     _add(values, row, 4, plus(product(along, s), product(across, c)))
@@ -194,7 +194,7 @@ def _add_sources(values, row, along, across, direction):
 
 @always_inlined
 def _left(values, row, k, whole):
-    """Return what is left of an integral from four nodes on."""
+    """Return the integrals from four nodes to the end, for the total `whole`."""
     return minus((whole, whole, whole, whole), four(values, row + k))
 
 
@@ -235,16 +235,16 @@ def _arrival(start, end):
 @declared(Units, Slip, int, float, float, float, float, float, bool, FLOATS)
 @external
 def cross_panel(units, slip, kind, size, root, mu, k1, k2, works, values):
-    """Take the sensitivities across a panel. (D6)–(D10)
+    """Propagate the sensitivities through a panel. (D6)–(D10)
 
     Args:
-        units, slip: The slip equations, and where slip stands.
-        kind, size: What the panel's length is, and how much.
-        root: Half-angle tangent from here to the invariant direction that L goes to.
-        mu: Friction.
+        units, slip: The `Units`, and the `Slip` at the start.
+        kind, size: Kind and length of the panel.
+        root: Half-angle tangent to the invariant direction, for the kind INVARIANT.
+        mu: μ.
         k1, k2: κ.
-        works: Whether row PATH and the integrals are wanted.
-        values: (ROOM,) sensitivities, which are brought to its end, and scratch.
+        works: Whether row PATH and the integrals are needed.
+        values: (ROOM,) rows of sensitivities, which are overwritten, and scratch.
 
     Returns:
         the `Slip` at its end, the impulse of the panel, ∫σ dP₃ (2) and ∫∫σ dP₃ dP₃ (2).
@@ -284,6 +284,6 @@ def cross_panel(units, slip, kind, size, root, mu, k1, k2, works, values):
 
 @always_inlined
 def _sums(values, works, turned, k):
-    """Return the sums at k from the beginning of each row, as `_arrival` takes them."""
+    """Return the sums at offset k of each row of sums, as the argument `start` of `_arrival`."""
     path = _total(values, PATHS + k) if works else 0.0
     return _total(values, RADIAL + k), turned * _total(values, ANGLE + k), _total(values, LATE + k), path
