@@ -1,4 +1,4 @@
-"""Controls: what is called for the generalized forces, and the checks of what it returns."""
+"""Controls: functions and drives that return generalized forces, and checks of these forces."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Control = Callable[[float, Array, Array], ArrayLike]
 
 
 def asked(control: Control, t: float, q: Array, v: Array) -> Array:
-    """Return the forces (nv,) of a control at a time and state, which it may change: they are its own.
+    """Return the forces (nv,) of a control at a time and state. The control may change q and v: pass copies.
 
     Raises:
-        SimulationError: The control fails, or returns another shape or numbers that are not finite.
+        SimulationError: The control fails, or returns an array of another shape or of values not finite.
     """
     nv = len(v)
     try:
@@ -103,12 +103,12 @@ class JointPD:
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What a `JointPD` is to one robot; it can be sampled as a control. Arrays are (nv,) but the first.
+    """The drives of a `JointPD` for one robot; they can be sampled as a control.
 
     Attributes:
-        velocity: Indices in v of what is driven.
-        coordinate: Where the coordinate of each velocity stands in q.
-        stiffness, damping, reference, limit: Of each velocity.
+        velocity: (n,) indices of the driven velocities.
+        coordinate: (nv,) index in q of the coordinate of each velocity.
+        stiffness, damping, reference, limit: (nv,) as in `JointPD`.
     """
 
     velocity: Integers
@@ -157,10 +157,10 @@ def _gains(name: str, value: ArrayLike, floating: Bools) -> Array:
 
 
 class ContinuousControl:
-    """Calls a control wherever kernels evaluate v̇.
+    """Call a control whenever kernels evaluate v̇.
 
     Attributes:
-        work: The workspace, where the time and the state stand and the forces go.
+        work: The workspace, which holds the time and the state and receives the forces.
     """
 
     work: SceneWorkspace
@@ -169,32 +169,32 @@ class ContinuousControl:
         self._control = control
 
     def __call__(self) -> None:
-        """Take the control's forces."""
+        """Evaluate the control, and write its forces to the workspace."""
         work = self.work
         work.control_force[:] = asked(self._control, work.control_time, work.q.copy(), work.v.copy())
 
 
 class SampledControl:
-    """A control that is asked at the times t_k = k T.
+    """A control that is evaluated at the times t_k = k T.
 
-    Its force acts from t_k + delay until the next one does; before the first one acts the force is zero.
+    Its force acts from t_k + delay until the next one acts; before the first one acts the force is zero.
 
     Args:
-        control: Asked once for each time, in order.
-        period: T [s].
-        delay: [s].
+        control: The control, evaluated once for each time, in order.
+        period: Sampling period T [s].
+        delay: Delay of the forces [s].
 
     Attributes:
-        forces: Those that have acted, each (nv,),
-        acts_at: from these times on,
-        asked_at: and the times at which the control has been asked [s].
+        forces: Forces (nv,) that have acted.
+        acts_at: Time from which each of them acts [s].
+        asked_at: Times at which the control has been evaluated [s].
     """
 
     def __init__(self, control: Control, period: float, delay: float) -> None:
         self._control = control
         self._period = period
         periods = delay / period
-        whole = round(periods)  # so that times that are the same are so to the last bit
+        whole = round(periods)  # equal times are then equal to the last bit
         self._delay = whole if abs(periods - whole) <= ROUNDING else periods
         self._asked = self._acting = 0
         self._waiting: deque[Array] = deque()
@@ -204,20 +204,20 @@ class SampledControl:
 
     @property
     def next(self) -> float:
-        """The time at which it is to be asked, or a force begins to act [s]."""
+        """The next time at which the control is to be evaluated or a force begins to act [s]."""
         time = self._asked * self._period
         return min(time, self._acts_at) if self._waiting else time
 
     @property
     def _acts_at(self) -> float:
-        """The time from which the first force that waits acts [s]."""
+        """The time from which the first of the delayed forces acts [s]."""
         return (self._acting + self._delay) * self._period
 
     def at(self, t: float, q: Array, v: Array) -> Array | None:
-        """Ask at a time if it is one to ask at; return the force (nv,) that acts from then on, if it changes.
+        """Evaluate the control if it is due at t [s]; return the force (nv,) that begins to act, or None.
 
         Raises:
-            SimulationError: As of `asked`.
+            SimulationError: See `asked`.
         """
         if t >= self._asked * self._period:
             self._waiting.append(asked(self._control, t, q.copy(), v.copy()).copy())

@@ -1,4 +1,4 @@
-"""A step with its dense output."""
+"""Steps with dense output."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from ._kernels import dense_output
 from .step_taken import StepTaken
 
 WORKS = 4
-"""Work integrated with the motion: of control, joints, sliding friction and moving surfaces."""
-
+"""Number of works integrated with the motion: of control, joints, sliding friction and moving surfaces."""
 
 SLOPES = dense_output.BASIS * np.arange(1.0, 1.0 + len(dense_output.BASIS))
-"""Derivatives of the terms of the dense output, in powers of θ (7, 7)."""
+"""(7, 7) Coefficients of the derivatives of the dense output's terms, by powers of θ."""
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -24,14 +23,14 @@ class DenseStep:
     """A step of smooth motion with its dense output.
 
     Attributes:
-        start, end: Times [s]; `end` is before start + h where an event cut the step.
-        h: Length of the step that was computed [s].
-        q, v, w: State and works at its start.
-        coefficients: (7, 2 nv + 4) dense output of (ξ, v, w).
+        start, end: Times [s]; `end` is before start + h if an event cut the step.
+        h: Size of the step that was computed [s].
+        q, v, w: (nq,) configuration, (nv,) velocity and (`WORKS`,) work [J] at its start.
+        coefficients: (7, 2 nv + `WORKS`) dense output of (ξ, v, w).
         joints: Table of the configuration space.
-        closed: What was closed, or None; see `forces.ClosedSet`.
-        directions: (2, n, 2) of slip at the start and at the end, or None where nothing slips.
-        taken: Of a time step that is to be differentiated: what it was computed from.
+        closed: The active contacts and their forces, `forces.ClosedSet` or `forces.StepForces`; None: none.
+        directions: (2, n, 2) directions of slip at the start and at the end, or None if nothing slips.
+        taken: Data of a time step from which its derivatives are computed, or None.
     """
 
     start: float
@@ -50,20 +49,20 @@ class DenseStep:
         self.end = self.start + self.h
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return q and v at a time within the step."""
+        """Return q (nq,) and v (nv,) at a time [s] within the step."""
         q, v = np.empty(len(self.q)), np.empty(len(self.v))
         theta = (t - self.start) / self.h
         dense_output.state(self.coefficients, theta, self.joints, self.q, self.v, q, v)
         return q, v
 
     def acceleration(self, t: float) -> Array:
-        """Return v̇ (nv,) of the dense output at a time within the step."""
+        """Return v̇ (nv,) of the dense output at a time [s] within the step."""
         powers = ((t - self.start) / self.h) ** np.arange(len(SLOPES))
         n = len(self.v)
         return np.asarray(SLOPES @ powers @ self.coefficients[:, n : 2 * n] / self.h)
 
     def work_at(self, t: float) -> Array:
-        """Return the work w at a time within the step."""
+        """Return the work (`WORKS`,) [J] at a time [s] within the step."""
         increment = np.empty(len(self.w))
         coefficients = self.coefficients[:, -len(self.w) :]
         dense_output.interpolate(coefficients, (t - self.start) / self.h, increment)

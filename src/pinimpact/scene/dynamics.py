@@ -1,4 +1,4 @@
-"""The dynamics of a scene between events: what the kernels that evaluate and integrate it read and leave."""
+"""The dynamics of a scene between events: the workspace, and the calls of the kernels that integrate them."""
 
 from __future__ import annotations
 
@@ -38,19 +38,20 @@ from .layout import SceneLayout
 from .scene import Scene
 
 STIFF = 1e3
-"""Rate [1/s] at which damped joints come to rest, above which steps may be implicit in their damping."""
+"""Decay rate of damped joints [1/s] above which steps may be implicit in the damping."""
 
 CLOSABLE = 64
-"""Contacts for which there is room at first to be closed at once, beside held ones."""
+"""Initial capacity of the workspace: contacts that may be active at once, in addition to held ones."""
 
 
 class FreeMotion(NamedTuple):
-    """The motion of some contacts without contact forces.
+    """The motion of k contacts without contact forces.
 
     Attributes:
         joints: (nv,) v̇.
         jacobian: (k, 3, nv) contact Jacobians.
-        velocity, acceleration, surface: (k, 3) of the contacts, and of the surfaces.
+        velocity, acceleration: (k, 3) of the contacts [m/s, m/s²].
+        surface: (k, 3) velocities of the surfaces [m/s].
         gap: (k,) gaps [m].
     """
 
@@ -63,12 +64,12 @@ class FreeMotion(NamedTuple):
 
 
 class SceneDynamics:
-    """v̇ and the powers at a state with what is closed in its present modes, and what changes modes.
+    """The smooth dynamics with the present contact modes, and the choice of these modes.
 
     Attributes:
         contacts: All contacts of the scene, held ones last.
         limits: The joint limits.
-        work: All that the kernels share.
+        work: The workspace of the kernels.
         driven: Whether there are drives.
     """
 
@@ -85,7 +86,7 @@ class SceneDynamics:
         self.limits = tuple(limits)
         layout = scene.layout()
         robot = layout.dynamics_for(self, model)
-        # by address from the kernels, so these must live as long as this
+        # kernels call these by address, so they must live as long as this object
         self._calls = [robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics]
         control = None
         motors = no_drives(model.nv)
@@ -184,29 +185,33 @@ class SceneDynamics:
     # ---- calls from kernels
 
     def check(self) -> None:
-        """Raise what went wrong in a call from a kernel, if anything did."""
+        """Raise the error of a Python function that a kernel has called, if there is one."""
         if self.work.callback_failed:
             self.work.callback_failed = False
             raise_kept_error()
 
-    # ---- what is closed
+    # ---- active contacts
 
     def fastest_approach(
         self, q: Array, v: Array, starting: bool, parting: float, where: Integers, slow: Integers
     ) -> Any:
-        """Return which contact or limit approaches the fastest, or −1, and its gap rate; see `approach`."""
+        """Return the contact or limit that approaches fastest, or −1, and its gap rate; see the kernel."""
         source, rate = approach.fastest_approach(self.work, q, v, starting, parting, where, slow)
         self.check()
         return source, rate
 
     def set_modes(self, t: float, q: Array, v: Array, slow: Integers) -> tuple[int, bool, float]:
-        """Set the modes of what touches without bouncing; v loses what closed contacts take away of it.
+        """Set the modes of the contacts, limits and joints at an instant. (theory.md, 11)
 
-        `slow` (n + nl,) is as `approach` fills it.
+        Args:
+            t: Time [s].
+            q: (nq,) configuration.
+            v: (nv,) velocity; it is overwritten with the one after active contacts have come to rest.
+            slow: (n + nl,) nonzero where a contact or limit touches without bouncing, see `approach`.
 
         Returns:
-            A contact where slip drives the surface in and no force exists, or −1; whether the forces were
-            found to the usual accuracy; the kinetic energy gained.
+            A contact with negative normal acceleration for which no force exists, or −1; whether the forces
+            were found to the usual accuracy; the kinetic energy gained [J].
         """
         self.make_room(slow[: self.work.contacts])
         jammed, converged, energy = contact_modes.set_modes(self.work, t, q, v, slow)
@@ -214,18 +219,18 @@ class SceneDynamics:
         return jammed, converged, energy
 
     def slipping(self) -> tuple[Integers, Integers, Array]:
-        """Return what slips now: `active_index`, `active_mode` and `sliding_friction` of the workspace."""
+        """Return the present slip: `active_index`, `active_mode` and `sliding_friction` of the workspace."""
         work = self.work
         return work.active_index.copy(), work.active_mode.copy(), work.sliding_friction.copy()
 
-    def slip_as(self, closed: Integers, modes: Integers, sliding: Array) -> None:
-        """Let modes that are set next take for slipping what has been, see `slipping`."""
+    def slip_as(self, active: Integers, modes: Integers, sliding: Array) -> None:
+        """Restore the slip that `slipping` has returned, from which the next modes are set."""
         work = self.work
-        work.active_contacts = len(closed)
-        work.active_index[:], work.active_mode[:], work.sliding_friction[:] = closed, modes, sliding
+        work.active_contacts = len(active)
+        work.active_index[:], work.active_mode[:], work.sliding_friction[:] = active, modes, sliding
 
     def pushes(self, t: float, q: Array, v: Array, touching: Sequence[int]) -> Array:
-        """Return accelerations (k,) of gaps of contacts, and of limits past those, without contact forces."""
+        """Return the second rates (k,) of the gaps of contacts, then limits, without contact forces."""
         contacts = [i for i in touching if i < self.work.contacts]
         motion = self.free_motion_at(t, q, v, contacts)
         limits = [self.limits[i - self.work.contacts] for i in touching[len(contacts) :]]
@@ -233,48 +238,48 @@ class SceneDynamics:
         return np.array([*motion.acceleration[:, 2].tolist(), *stops])
 
     def make_room(self, closing: Integers) -> None:
-        """Make room for contacts (n,) that may be closed at once, where not zero."""
+        """Enlarge the workspace if it has no room for all contacts where `closing` (n,) is nonzero."""
         work, count = self.work, int(np.count_nonzero(closing))
         if count > work.closable:
             closable = min(max(count, 2 * work.closable), work.contacts)
             work.enlarge({"closable": closable, "rows": 3 * closable + work.scalars})
 
     def hold_at(self, gaps: Array) -> None:
-        """Let the contacts keep these gaps (n,) where they are closed, and close what the scene holds."""
+        """Set the gaps (n,) [m] that active contacts keep, and activate the held contacts."""
         self.work.rest_gap[:] = gaps
         active_set.close_held(self.work)
 
     def correct_constraint_drift(self, t: float, q: Array, v: Array) -> float:
-        """Bring what is closed back, changing q and v; return the kinetic energy gained."""
+        """Correct constraint drift of q (nq,) and v (nv,) in place; return the energy gained [J]. (12.1)"""
         energy = constraint_drift.correct_constraint_drift(self.work, t, q, v)
         self.check()
         return float(energy)
 
     def forces_unbounded(self, t: float, q: Array, v: Array, without_forces: bool, singular: float) -> bool:
-        """Return whether forces of slip grow without bound, see the kernel."""
+        """Return whether forces of slipping contacts grow without bound, see the kernel. (theory.md, 13.3)"""
         unbounded = jamming.forces_unbounded(self.work, t, q, v, without_forces, singular)
         self.check()
         return bool(unbounded)
 
     @property
     def forces_doubtful(self) -> bool:
-        """Whether no forces clearly keep to what their modes allow, at the start of a smooth motion."""
+        """Whether the forces at the start of a smooth motion may violate the bounds of their modes."""
         doubtful = float(force_choice.doubtful_margin(self.work))
         margin: float = force_bound.margin_of_forces(self.work, doubtful)
         return margin <= doubtful
 
     @property
     def constrained(self) -> bool:
-        """Whether anything is closed."""
+        """Whether any contact, joint limit or dry joint is active."""
         return self.work.active_contacts + self.work.active_scalars > 0
 
     def set_saturation(self, q: Array, v: Array) -> None:
-        """Tell which drives are at the bounds of their efforts at a state."""
+        """Determine which drives are at their effort limits at a state."""
         if self.driven:
             drives.set_saturation(self.work, q, v)
 
     def change_side(self, index: int) -> None:
-        """Let a drive come to the bound of its effort, or leave it; see `events.saturation.value`."""
+        """Set a drive to its effort limit, or release it from there; see `events.saturation.value`."""
         nv, sides = self.work.nv, self.work.drive_side
         upper, j = index < nv, index % nv
         sides[j] = 0 if sides[j] else (1 if upper else -1)
@@ -282,38 +287,38 @@ class SceneDynamics:
     # ---- steps
 
     def begin(self, t: float, q: Array, v: Array) -> float:
-        """Begin a smooth motion; see `smooth_motion.begin`."""
-        guess = smooth_motion.begin(self.work, t, q, v)
+        """Begin a smooth motion; return the predicted duration of a bounce [s], see `smooth_motion.begin`."""
+        bounce = smooth_motion.begin(self.work, t, q, v)
         self.check()
-        return float(guess)
+        return float(bounce)
 
     def finish(self, t: float, h: float, error: float, explicit: bool) -> None:
-        """Finish a step and look for the first event in it; see `smooth_motion.finish`."""
+        """Finish a step and locate the first event in it; see `smooth_motion.finish`."""
         smooth_motion.finish(self.work, t, h, error, explicit)
         self.check()
 
     def first_length(self) -> float:
-        """Return a cautious length for the first step of a smooth motion of unknown pace."""
+        """Return a conservative size for the first step of a smooth motion [s], from its accelerations."""
         work = self.work
         nv, rtol, atol = work.nv, work.rtol, work.atol
-        pace = np.abs(work.stage_rates[0, nv : 2 * nv]) / (atol + rtol * np.maximum(1.0, np.abs(work.v0)))
-        fastest = float(pace.max(initial=0.0)) * rtol
+        rates = np.abs(work.stage_rates[0, nv : 2 * nv]) / (atol + rtol * np.maximum(1.0, np.abs(work.v0)))
+        fastest = float(rates.max(initial=0.0)) * rtol
         return 0.01 / fastest if fastest > 0.0 else 0.01
 
     def fastest(self, v: Array) -> float:
-        """Return the largest of velocities v (nv,) [m/s], see `joint_metres`."""
+        """Return the largest magnitude of velocities (nv,), in metres by (10.6) [m/s]."""
         return float(np.abs(self.work.joint_metres * v).max(initial=0.0))
 
     def error(self, v: Array) -> float:
-        """Return the error of a step in a velocity (nv,) [m/s]."""
+        """Return the error η of a step in velocities (nv,) [m/s]. (theory.md, 11.5)"""
         return float(self.work.atol + self.work.rtol * self.fastest(v))
 
     # ---- states
 
     def gaps_at(self, q: Array, v: Array) -> Array:
-        """Return (n + nl, 2) gap and rate of all contacts, then of the joint limits.
+        """Return (n + nl, 2) gap [m] and gap rate [m/s] of all contacts, then of the joint limits.
 
-        The gap is infinite where a sphere that bounds contacts is far from its surface.
+        The gap is infinite for contacts in a bounding sphere that is far from the surface.
         """
         found = np.empty((len(self.contacts) + len(self.limits), 2))
         smooth_motion.gaps_at(self.work, q, v, found)
@@ -321,7 +326,7 @@ class SceneDynamics:
         return found
 
     def free_motion_at(self, t: float, q: Array, v: Array, contacts: Sequence[int]) -> FreeMotion:
-        """Return the motion of some contacts at a state without contact forces."""
+        """Return the motion of k contacts at a state without contact forces."""
         k, nv = len(contacts), self.work.nv
         velocity, acceleration, surface = np.empty((3, k, 3))
         found = FreeMotion(np.empty(nv), np.empty((k, 3, nv)), velocity, acceleration, surface, np.empty(k))
@@ -334,11 +339,12 @@ _compiled: set[tuple[bool, bool, str | None]] = set()
 
 
 def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
-    """Compile or load all kernels that a scene is likely to call for, so that no run waits in its middle.
+    """Compile or load the kernels that a scene is likely to call, so that no simulation waits for them later.
 
-    Only a scene with friction (`rough`), or with drives or damping that is `stiff`, takes implicit steps;
-    only where two contacts can touch at one instant impacts are resolved together, by the policy. (Joint
-    limits that are reached with a contact or each other at one instant are rare.)
+    Args:
+        rough: Whether there is friction; then steps may be implicit in the directions of slip.
+        stiff: Whether there are drives or strong damping; then steps may be implicit in these.
+        policy: The policy for impacts at several contacts; None if no two contacts can touch at one instant.
     """
     if (rough, stiff, policy) in _compiled:
         return

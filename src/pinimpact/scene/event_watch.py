@@ -1,4 +1,4 @@
-"""When the guards of user events change their signs in a motion."""
+"""Detection of user events: sign changes of their guards along a motion."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .records import EventRecord
 
 @dataclass(frozen=True, slots=True)
 class Interruption:
-    """An event that changes or ends the motion.
+    """A user event that changes or ends the motion.
 
     Attributes:
-        time: When [s].
-        velocity: (nv,) after the event, or None for no change.
+        time: Time of the event [s].
+        velocity: (nv,) velocity after the event, or None if it is unchanged.
         ended_by: Name of the event if it ends the run, else None.
     """
 
@@ -33,9 +33,13 @@ class Interruption:
 
 
 class EventWatch:
-    """The events of one run: what sign each guard had, in the state, and what has happened, in the records.
+    """The user events of one run.
 
-    Guards are evaluated again after the time `every` [s] at the latest.
+    Args:
+        events: The events.
+        every: Longest time between evaluations of a guard [s].
+        state: State of the motion, which stores the signs of the guards.
+        records: List to which the records of events are appended.
     """
 
     def __init__(
@@ -50,9 +54,12 @@ class EventWatch:
         return bool(self._events)
 
     def at_instant(self, t: float, q: Array, v: Array) -> Interruption | None:
-        """Take the signs at an instant, after its impacts; let events happen whose guards have changed there.
+        """Update the signs of the guards after the impacts of an instant, and trigger the events there.
 
-        At one instant each event happens once, so this comes to an end however often it is called.
+        Each event happens at most once per instant, so repeated calls end.
+
+        Returns:
+            The first event that changes or ends the motion, or None.
         """
         state = self._state
         for i, event in enumerate(self._events):
@@ -66,7 +73,7 @@ class EventWatch:
         return None
 
     def within(self, step: DenseStep, end: float) -> Interruption | None:
-        """Let the events happen that a step meets until `end`, up to one that interrupts it."""
+        """Trigger the events in a step up to `end` [s]; return the first that changes or ends the motion."""
         start = step.start
         while True:
             pieces = max(2, math.ceil((end - start) / self._every))
@@ -80,7 +87,13 @@ class EventWatch:
                 return interruption
 
     def _first(self, step: DenseStep, start: float, times: list[float]) -> tuple[float, int] | None:
-        """Return when the first guard changes its sign, and which; take over the signs until then."""
+        """Return the time and number of the first event in a step, or None; update the signs up to it.
+
+        Args:
+            step: The step.
+            start: Time from which to search [s].
+            times: Times at which the guards are evaluated, in ascending order [s].
+        """
         found, which = math.inf, -1
         changed = list(self._state.signs)
         for i, event in enumerate(self._events):
@@ -100,17 +113,14 @@ class EventWatch:
         signs = list(self._state.signs)
         for i, event in enumerate(self._events):
             sign = _sign(self._value(i, found, *step.at(found)))
-            if sign and not _counts(event, signs[i], sign):  # what counts happens from there on
+            if sign and not _counts(event, signs[i], sign):  # other events are detected from there on
                 signs[i] = sign
         signs[which] = -changed[which]
         self._state.signs = tuple(signs)
         return found, which
 
     def _locate(self, i: int, step: DenseStep, a: float, b: float, sign: float) -> float:
-        """Return where a guard of this sign until a has the other one, to rounding and not before.
-
-        The time is a where something there has changed the sign.
-        """
+        """Return the time in [a, b] at which guard i leaves the given sign, see `crossing`."""
 
         def value(t: float) -> float:
             return sign * self._value(i, t, *step.at(t))
@@ -146,12 +156,12 @@ class EventWatch:
 
 
 def _with(values: tuple[Any, ...], i: int, value: Any) -> tuple[Any, ...]:
-    """Return values of which the i-th is another."""
+    """Return values with the i-th replaced."""
     return *values[:i], value, *values[i + 1 :]
 
 
 def _called_back(event: Event, t: float, q: Array, v: Array) -> Array | None:
-    """Return the velocity that the callback asks for, or None."""
+    """Call the callback of an event; return the velocity (nv,) that it sets, or None."""
     if event.callback is None:
         return None
     try:
@@ -166,7 +176,7 @@ def _sign(value: float) -> float:
 
 
 def _counts(event: Event, before: float, after: float) -> bool:
-    """Whether a change from one sign to another is the event; zeros are no signs."""
+    """Whether a change from one sign to another triggers the event; zero has no sign."""
     return before * after < 0.0 and after * event.direction >= 0.0
 
 
@@ -177,10 +187,10 @@ def _failure(event: Event, what: str, t: float, error: Exception) -> SimulationE
 
 
 def crossing(value: Callable[[float], float], a: float, b: float, h: float) -> float:
-    """Return where a function that is above zero at a, and not at b, ceases to be, to rounding, not before.
+    """Return where a function changes from positive to nonpositive between a and b, by Ridders' method.
 
-    By Ridders' method, to the rounding of the step's length h. The time is a where the function is not above
-    zero there.
+    The root is bracketed to the rounding of b and of the step size h; its upper end is returned. If the
+    function is not positive at a, a is returned.
     """
     fa, fb = value(a), value(b)
     if not fa > 0.0:

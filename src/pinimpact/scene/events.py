@@ -1,4 +1,4 @@
-"""Events of a user's own: a guard, a function of time and state, changes its sign."""
+"""User events: sign changes of a guard, a function of time and state."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..display import short_repr
 from ..errors import InputError
 
 Guard = Callable[[float, Array, Array], float]
-"""guard(t, q, v) -> a number whose sign counts; truth values have none."""
+"""guard(t, q, v) -> number; its sign changes are the events."""
 Callback = Callable[[float, Array, Array], ArrayLike | None]
 """callback(t, q, v) -> (nv,) velocity after the event, or None to keep it."""
 Jacobian = Callable[[float, Array, Array], ArrayLike]

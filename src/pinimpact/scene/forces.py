@@ -1,4 +1,4 @@
-"""Forces of sustained contact, joint stops and dry friction along a motion."""
+"""Forces of sustained contact, joint limits and dry friction along a motion."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ from ._kernels.workspace import SceneWorkspace
 from .dense_step import DenseStep
 
 FORCE_SAMPLES = 7
-"""Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""
-
+"""Number of nodes per step at which a saved trajectory stores the forces; they are interpolated between."""
 
 _NONE = np.empty(0)
 
 
 class ClosedSet(NamedTuple):
-    """What was closed during a smooth motion, and what else its forces depend on beside the state.
+    """The active contacts of a smooth motion, and all else beside the state that determines their forces.
 
     Attributes:
-        modes: Of contacts, joint limits and joints.
-        sliding: (nv,) dry friction that slides, with the sign of the velocity.
-        sides: (nv,) of drives at their bounds.
-        control: (nv,) the control that was held.
-        constants: Of the contacts that are closed; their axes follow the surfaces.
-        direction_speed: Slip below it has the direction last known [m/s].
-        slips: Whether anything slips.
-        unique: Whether the motion determined the forces.
-        known: Forces that the motion was begun with, of which the nearest act; empty for none.
-        joints: (k, 2) of the contacts that are closed: of the tip, of the surface.
-        swapped: The contacts whose tip is on what the robot's shape meets, so that their force is on that.
+        modes: (n + nl + nv,) modes of contacts, joint limits and joints.
+        sliding: (nv,) dry friction of sliding joints, with the sign of the velocity.
+        sides: (nv,) nonzero for drives at their effort limits.
+        control: (nv,) constant generalized force of the control.
+        constants: (k, …) constants of the active contacts; their axes follow the surfaces.
+        direction_speed: Speed below which slip keeps its last direction [m/s].
+        slips: Whether any contact slips.
+        unique: Whether the motion determines the forces.
+        known: Forces at the start of the motion; the solution nearest to them is used. Empty: none.
+        joints: (k, 2) joints of the tip and of the surface of the active contacts.
+        swapped: Contacts whose forces act on the second shape of their pair, not on the first.
     """
 
     modes: Integers
@@ -52,7 +51,7 @@ class ClosedSet(NamedTuple):
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:
-        """Return what is closed now, or None if nothing holds or rubs."""
+        """Return the present set; None if nothing is active and no joint slides with dry friction."""
         if work.active_contacts + work.active_scalars == 0 and not work.sliding_friction.any():
             return None
         index, modes, rubs = work.active_index, work.active_mode.tolist(), False
@@ -78,11 +77,11 @@ class Forces(NamedTuple):
     """Forces on the robot at one time.
 
     Attributes:
-        world: (n, 3) of the contacts, in world axes [N].
-        points: (n, 3) where they act [m].
-        normals: (n, 3) of the surfaces there, in world axes.
-        joints: (nv,) of joint stops and dry friction [N, N m].
-        unique: Whether the motion determines them, else they are those of equally stiff contacts.
+        world: (n, 3) contact forces in world axes [N].
+        points: (n, 3) points where they act [m].
+        normals: (n, 3) surface normals there, in world axes.
+        joints: (nv,) forces of joint limits and dry friction [N, N m].
+        unique: Whether the motion determines them; else they are those of equally stiff contacts.
     """
 
     world: Array
@@ -93,13 +92,13 @@ class Forces(NamedTuple):
 
 
 class StepForces(NamedTuple):
-    """Forces over a time step, in which they are constant, of what is near in it; see `Forces`.
+    """Forces in a time step, during which they are constant.
 
     Attributes:
-        contacts: (k,) numbers of the contacts that are near.
-        world, points, normals: (k, 3) of these.
-        joints: (nv,).
-        resting: The same of what is at rest, if anything is.
+        contacts: (k,) numbers of the contacts that are near in the step.
+        world, points, normals: (k, 3) as in `Forces`.
+        joints: (nv,) as in `Forces`.
+        resting: The forces on bodies at rest, or None.
     """
 
     contacts: Integers
@@ -110,7 +109,7 @@ class StepForces(NamedTuple):
     resting: StepForces | None = None
 
     def together(self) -> StepForces:
-        """Return these and the resting ones as one."""
+        """Return these forces together with those on bodies at rest."""
         if self.resting is None:
             return self
         contacts = np.concatenate([self.contacts, self.resting.contacts])
@@ -119,30 +118,30 @@ class StepForces(NamedTuple):
         return StepForces(contacts, world, points, normals, self.joints + self.resting.joints)
 
     def of_all(self, count: int) -> Forces:
-        """Return the forces of all contacts, which are so many."""
+        """Return the forces of all `count` contacts."""
         world, points, normals = every = np.zeros((3, count, 3))
         whole = self.together()
         every[:, whole.contacts] = whole.world, whole.points, whole.normals
         return Forces(world, points, normals, whole.joints, True)
 
     def acting(self, count: int) -> Bools:
-        """Return which of so many contacts have a force."""
+        """Return (`count`,) whether each contact has a force."""
         acts, whole = np.zeros(count, dtype=bool), self.together()
         acts[whole.contacts] = whole.world.any(axis=1)
         return acts
 
 
 class ForceSource(Protocol):
-    """Where a trajectory has its forces from.
+    """Source of the forces of a trajectory.
 
     Attributes:
-        contacts: Names of the contacts that there are forces of.
+        contacts: Names of the contacts whose forces are known.
     """
 
     contacts: Sequence[str]
 
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
-        """Return the forces at a time within the step of this number; None where nothing is closed."""
+        """Return the forces at a time [s] within a step, given with its number; None if nothing is active."""
 
 
 class Dynamics(Protocol):
@@ -151,14 +150,14 @@ class Dynamics(Protocol):
     work: SceneWorkspace
 
     def make_room(self, closing: Integers) -> None:
-        """Make room for contacts (n,) that are closed, where not zero."""
+        """See `SceneDynamics.make_room`."""
 
     def check(self) -> None:
-        """Raise what went wrong in a call from a kernel."""
+        """See `SceneDynamics.check`."""
 
 
 def set_closed(dynamics: Dynamics, closed: ClosedSet) -> None:
-    """Let dynamics have the modes of what was closed."""
+    """Set the active contacts and modes of some dynamics."""
     work = dynamics.work
     dynamics.make_room(closed.modes[: work.contacts])
     active_set.take_over(
@@ -168,9 +167,11 @@ def set_closed(dynamics: Dynamics, closed: ClosedSet) -> None:
 
 
 class EvaluatedForces:
-    """Forces that are evaluated at the state of the motion itself, when they are asked for.
+    """Forces that are evaluated at the state of the motion on demand.
 
-    `dynamics` makes dynamics of the scene, of which the thresholds are set.
+    Args:
+        dynamics: Returns the dynamics of the scene, with tolerances set.
+        contacts: Names of the contacts.
     """
 
     def __init__(self, dynamics: Callable[[], Dynamics], contacts: Sequence[str]) -> None:
@@ -215,7 +216,7 @@ class TabulatedForces:
 
     Args:
         contacts: Names of the contacts.
-        tables: (m,) numbers of the steps in which something is closed; world, points and normals
+        tables: (m,) numbers of the steps with active contacts; world, points and normals
             (m, `FORCE_SAMPLES`, n, 3), joints (m, `FORCE_SAMPLES`, nv) and unique (m,), see `Forces`.
     """
 
@@ -225,7 +226,7 @@ class TabulatedForces:
 
     @classmethod
     def of(cls, source: ForceSource, steps: Sequence[DenseStep]) -> TabulatedForces:
-        """Tabulate forces from elsewhere, of the contacts that are ever closed."""
+        """Tabulate the forces of another source, for the contacts that are ever active."""
         if isinstance(source, cls):
             return source
         count = len(source.contacts)
@@ -278,7 +279,7 @@ def nodes() -> Array:
 
 
 def _weights(x: float) -> Array:
-    """Return what the values at the nodes count for at x, by the barycentric formula."""
+    """Return the weights (`FORCE_SAMPLES`,) of the values at the nodes at x, by the barycentric formula."""
     away = x - nodes()
     hit = away == 0.0
     if hit.any():

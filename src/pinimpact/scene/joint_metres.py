@@ -1,4 +1,4 @@
-"""How far the mass that a joint moves goes by a unit of its velocity: what turns rad/s into m/s."""
+"""Metres per unit of each velocity: how far the joint moves the mass that it carries. (10.6)"""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ..arrays import Array
 
 
 def gyration(model: pin.Model) -> Array:
-    """Return how far from the axis of each velocity the mass is that it moves, root mean square (nv,) [m].
+    """Return the root mean square distance ϱ (nv,) of the moved mass from each axis [m]. (10.6)
 
-    Of a joint's own body that is its radius of gyration; bodies further on count at the largest distance that
-    the joints between let them have, joints at zero travel. Zero where nothing that moves has mass. (10.6)
+    For a joint's own body this is its radius of gyration. Bodies beyond further joints count at the largest
+    distance that these joints allow, at zero sliding travel. Zero if no moved body has mass.
     """
     result = np.zeros(model.nv)
     axes = _subspaces(model)[:, 3:]
-    mass, first, second = np.zeros((3, model.njoints))  # ∫dm, ∫l dm, ∫l² dm, with l the way from the joint
+    mass, first, second = np.zeros((3, model.njoints))  # ∫dm, ∫l dm, ∫l² dm; l: distance from the joint
     squares = np.zeros(model.nv)  # ∫d² dm, with d the distance from the axis
     for joint in range(model.njoints - 1, 0, -1):
         inertia, velocities = model.inertias[joint], _velocities(model, joint)
@@ -43,9 +43,12 @@ def gyration(model: pin.Model) -> Array:
 
 
 def metres_per_unit(model: pin.Model, radii: Array, extent: float) -> Array:
-    """Return the speed [m/s] that a unit of each velocity means (nv,): 1 of a joint that slides. (10.6)
+    """Return κ (nv,) of (10.6), the speed [m/s] per unit of each velocity; 1 for sliding joints.
 
-    The radii (nv,) are those of `gyration`; where they are zero the extent [m] counts, the robot's size.
+    Args:
+        model: The model.
+        radii: (nv,) ϱ of `gyration` [m].
+        extent: Size of the robot [m], which replaces zero radii.
     """
     found = _subspaces(model)
     slides, turns = np.linalg.norm(found[:, :3], axis=1), np.linalg.norm(found[:, 3:], axis=1)
@@ -57,7 +60,7 @@ def _velocities(model: pin.Model, joint: int) -> slice:
 
 
 def _subspaces(model: pin.Model) -> Array:
-    """Return the motion (nv, 6) that each velocity is in its joint's axes, in the neutral configuration."""
+    """Return the spatial velocity (nv, 6) per unit of each velocity, in joint axes, at the neutral q."""
     neutral, result = pin.neutral(model), np.zeros((model.nv, 6))
     for joint in range(1, model.njoints):
         data = model.joints[joint].createData()

@@ -1,4 +1,4 @@
-"""What a run needs of a scene that does not change from run to run, made when it is first asked for."""
+"""Data of a scene that do not change from run to run, computed on first use."""
 
 from __future__ import annotations
 
@@ -29,13 +29,18 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 LEAST = 4
-"""Contacts of a shape that are worth a sphere in which a scene looks at them together."""
+"""Least number of contacts of a shape for which a common bounding sphere saves time."""
 
 
 class SceneLayout:
-    """What a run needs of a scene beyond its state, as long as the model stays as it is, see `holds_for`.
+    """Tables and bounds of a scene, valid while the model does not change, see `holds_for`.
 
-    The contacts may be open, those held are not; `limited` says whether the joint limits act.
+    Args:
+        model: The model.
+        contacts: Unilateral contacts.
+        held: Bilateral contacts.
+        limited: Whether the joint limits act.
+        geometry: Collision shapes, for contacts of two shapes.
     """
 
     def __init__(
@@ -68,7 +73,7 @@ class SceneLayout:
         self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
 
     def holds_for(self, model: pin.Model) -> bool:
-        """Return whether sizes, placements and joint limits of the model are what they were."""
+        """Return whether the sizes, placements and joint limits of the model are unchanged."""
         return bool(
             self._sizes == _sizes(model)
             and self._links == model.jointPlacements.tolist()
@@ -78,24 +83,24 @@ class SceneLayout:
 
     @cached_property
     def limits(self) -> tuple[JointLimit, ...]:
-        """The finite bounds of the coordinates that are plain numbers."""
+        """The finite limits of joints with scalar coordinates."""
         return joint_limits(self._model)
 
     @property
     def extent(self) -> float:
-        """The robot's size L [m]: the longest chain to a contact or link, else of its masses, else 1 m."""
+        """The robot's size L [m]: its longest chain or link, else largest radius of gyration, else 1 m."""
         return self._longest or float(self._radii.max(initial=0.0)) or 1.0
 
     @cached_property
     def _longest(self) -> float:
-        """The longest chain to a contact, or the longest link; zero where there is none [m]."""
+        """Length of the longest chain to a contact, or of the longest link [m]; zero if there is none."""
         links = link_lengths(self._model)
         chains = [chain_length(self._model, links, contact) for contact in self._bounding.values()]
         return max(*chains, *links, 0.0)
 
     @property
     def metres_per_unit(self) -> Array:
-        """(nv,) The speed that a unit of each velocity means, see `joint_metres`; not to be changed."""
+        """(nv,) κ of (10.6), the metres per unit of each velocity; not to be changed in place."""
         return self._metres.of(
             self._inertias(), lambda _: metres_per_unit(self._model, self._radii, self.extent)
         )
@@ -109,7 +114,7 @@ class SceneLayout:
 
     @cached_property
     def unreachable(self) -> tuple[str, ...]:
-        """Names of the contacts that can never reach their surface, whatever the joints do."""
+        """Names of the contacts that cannot reach their surface at any configuration."""
         count = len(self._contacts)
         far = [run for run, c in self._bounding.items() if out_of_reach(self._model, c, self._limited)]
         return tuple(self._contacts[i].label for first, stop in far for i in range(first, min(stop, count)))
@@ -122,7 +127,7 @@ class SceneLayout:
 
     @cached_property
     def _bounding(self) -> dict[tuple[int, int], Contact]:
-        """The sphere that bounds each run, or its only contact, or spheres around the two shapes of that."""
+        """The bounding contact of each run: a sphere, its only contact, or the spheres of two shapes."""
         every, found = (*self._contacts, *self._held), {}
         for first, stop in self._runs:
             one = every[first]
@@ -132,7 +137,7 @@ class SceneLayout:
 
     @cached_property
     def pairs(self) -> dict[Contact, ShapePair]:
-        """The two shapes of each contact of such."""
+        """The two shapes of each contact between shapes."""
         wanted = dict.fromkeys(c.pair for c in self._contacts if c.pair is not None)
         if not wanted:
             return {}
@@ -141,24 +146,24 @@ class SceneLayout:
 
     @cached_property
     def sources(self) -> tuple[str, ...]:
-        """Names of what impacts and modes can be of: contacts, joint limits and joints."""
+        """Names of the possible sources of impacts and modes: contacts, joint limits and joints."""
         contacts = (contact.label for contact in (*self._contacts, *self._held))
         limits = (limit.name for limit in self.limits)
         return tuple(dict.fromkeys((*contacts, *limits, *list(self._model.names)[1:])))
 
     @cached_property
     def joint_charts(self) -> Integers:
-        """The table of the configuration space, see `joint_table`."""
+        """Table of the configuration space, see `joint_table`."""
         return joint_table(self._model)
 
     @cached_property
     def velocity_joint(self) -> Integers:
-        """(nv,) the joint that each velocity belongs to."""
+        """(nv,) Joint of each velocity."""
         return np.repeat(np.arange(self._model.njoints), np.array(self._model.nvs))
 
     @cached_property
     def chains(self) -> tuple[Integers, Integers]:
-        """The last of the velocities that move each joint, −1 for none, and the one before each (nv,)."""
+        """(nj,) Last velocity that moves each joint, or −1; (nv,) the one before each velocity, or −1."""
         model = self._model
         last, before = np.full(model.njoints, -1), np.arange(-1, model.nv - 1)
         for joint in range(1, model.njoints):
@@ -169,7 +174,7 @@ class SceneLayout:
         return last, before
 
     def rate_of_damping(self, damping: Array) -> float:
-        """Return how fast damped joints (nv,) settle at the most, in the neutral configuration [1/s]."""
+        """Return the largest decay rate of damped joints in the neutral configuration [1/s]."""
         if not damping.any():
             return 0.0
         return self._damping.of(damping.tobytes(), lambda _: self._rate_of_damping(damping))
@@ -182,11 +187,11 @@ class SceneLayout:
         return float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
 
     def tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
-        """Return what runs need of contacts, those of the scene or others; not to be changed in place."""
+        """Return the tables of contacts, those of the scene or others; not to be changed in place."""
         return self._tables.of(contacts, self._make_tables)
 
     def pair_tables(self, contacts: tuple[Contact, ...]) -> PairTables:
-        """Return what runs need of contacts of two shapes; not to be changed in place."""
+        """Return the tables of contacts between two shapes; not to be changed in place."""
         return self._pair_tables.of(contacts, self._make_pair_tables)
 
     def _make_pair_tables(self, contacts: tuple[Contact, ...]) -> PairTables:
@@ -209,7 +214,7 @@ class SceneLayout:
         )
 
     def places(self, contacts: Sequence[Contact]) -> list[tuple[Contact, list[int]]]:
-        """Return each contact of two shapes among those kept for them, with the numbers of its places."""
+        """Return each contact between two shapes, and the numbers of the contacts reserved for its points."""
         groups: dict[int, tuple[Contact, list[int]]] = {}
         for i, contact in enumerate(contacts):
             if contact.pair is not None:
@@ -217,7 +222,7 @@ class SceneLayout:
         return list(groups.values())
 
     def dynamics_for(self, owner: object, model: pin.Model) -> RobotDynamics:
-        """Return dynamics of the robot, for the scene's own model some that an earlier owner has left."""
+        """Return the dynamics of a model; those of the scene's own model are reused by later owners."""
         if model is not self._model:
             return robot_dynamics(model)
         robot = self._spare_dynamics.pop() if self._spare_dynamics else robot_dynamics(model)
@@ -226,7 +231,7 @@ class SceneLayout:
         return robot
 
     def data_for(self, owner: object, model: pin.Model) -> Any:
-        """Return what `data_of` does; for the scene's own model one that an earlier owner has left."""
+        """Return the data of a model; those of the scene's own model are reused by later owners."""
         if model is not self._model:
             return data_of(model)
         data = self._spare_data.pop() if self._spare_data else data_of(model)
@@ -241,7 +246,7 @@ class SceneLayout:
         for contact in contacts:
             if contact.pair is None:
                 parts.append(contact_constants(model, contact))
-            else:  # a place, which is nowhere as yet
+            else:  # reserved for a pair of shapes that does not touch yet
                 nowhere = nowhere or contact_constants(model, contact)
                 parts.append(nowhere)
         blocks: list[tuple[int, int, int]] = []
@@ -261,30 +266,30 @@ class SceneLayout:
 
 
 class _Last(Generic[K, V]):
-    """What was last made, and of what: runs ask for the same again, and comparing is cheaper than hashing."""
+    """Cache of one value: runs mostly ask for the same key again, and comparing is cheaper than hashing."""
 
     def __init__(self) -> None:
         self._known: tuple[K, V] | None = None
 
     def of(self, key: K, make: Callable[[K], V]) -> V:
-        """Return what `make` makes of a key, remade where it is not the last one."""
+        """Return `make(key)`, computed again only if the key differs from the last one."""
         if self._known is None or self._known[0] != key:
             self._known = key, make(key)
         return self._known[1]
 
 
 class PairTables(NamedTuple):
-    """What runs need of p pairs of shapes.
+    """Tables of p pairs of convex shapes.
 
     Attributes:
-        vertices: (m, 3) of the cores, in the axes of their joints.
-        ranges: (p, 3) the first vertex of the first shape, of the second one, and the one after its last.
-        joints: (p, 2) that carry them.
-        radii: (p,) around both cores [m].
-        centers: (2 p, 3) of the shapes, in the axes of their joints.
-        reaches: (p, 2) largest distance of a point from them [m].
+        vertices: (m, 3) vertices of the cores, in the axes of their joints [m].
+        ranges: (p, 3) indices of the first vertex of the first and second shape, and one past the last.
+        joints: (p, 2) joints that carry the shapes.
+        radii: (p,) sum of the radii that round both cores [m].
+        centers: (2 p, 3) centers of the shapes, in the axes of their joints [m].
+        reaches: (p, 2) largest distance of a point from the center [m].
         moves: (2 p, nv) 1 for the velocities that move the shape, else 0.
-        least: (p,) by what they have to stay apart [m].
+        least: (p,) gap above which a pair counts as apart [m].
     """
 
     vertices: Array
@@ -298,15 +303,15 @@ class PairTables(NamedTuple):
 
 
 class ContactTables(NamedTuple):
-    """What runs need of contacts.
+    """Tables of n contacts.
 
     Attributes:
-        constants: (n, 28) see `robot._kernels.constants`.
-        joints: (n, 2) of the tip and of the surface.
-        friction: (n,) of sustained contact.
-        blocks: (b, 3) runs of contacts looked at together: the first contact, the one after the last, and
-            which sphere bounds them or −1.
-        spheres: (s, 28) constants of the spheres.
+        constants: (n, `CONSTANTS`) see `geometry._kernels.constants`.
+        joints: (n, 2) joints of the tip and of the surface.
+        friction: (n,) coefficients of friction in sustained contact.
+        blocks: (b, 3) runs of contacts: the first contact, one past the last, and the index of the bounding
+            sphere or −1.
+        spheres: (s, `CONSTANTS`) constants of the bounding spheres.
     """
 
     constants: Array
@@ -325,9 +330,9 @@ def _bounds(model: pin.Model) -> tuple[bytes, bytes]:
 
 
 def runs(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
-    """Return first and last + 1 of the contacts, one after the other, that are of one shape and surface.
+    """Return the runs (first, last + 1) of consecutive contacts of one shape with one surface.
 
-    A contact that is of no shape, or of a shape with less than `LEAST` of them, is a run alone.
+    A contact of no shape, or of a shape with fewer than `LEAST` contacts, is a run of its own.
     """
     found: list[tuple[int, int]] = []
     first = 0
@@ -345,7 +350,7 @@ def _together(one: Contact, other: Contact) -> bool:
 
 
 def bounding_sphere(contacts: Sequence[Contact]) -> Contact | None:
-    """Return a sphere that bounds the tips of a run, as a contact of its own; None for one alone."""
+    """Return a contact whose tip is a sphere that bounds the tips of a run; None for a single contact."""
     if len(contacts) == 1:
         return None
     centres = np.array([contact.offset for contact in contacts])

@@ -1,4 +1,4 @@
-"""How long each contact, joint limit and joint stays in each mode."""
+"""Intervals of the contact modes of contacts, joint limits and joints."""
 
 from __future__ import annotations
 
@@ -13,16 +13,20 @@ from ._kernels.contact_forces import HELD, SLIP, STICK
 from .records import ModeInterval
 
 MODES = {SLIP: "slip", STICK: "stick", HELD: "held"}
-"""Names of the modes of a contact that is closed."""
+"""Names of the modes of an active contact."""
 
 
 class ModeIntervals:
-    """The modes of a run up to now, given the names of contacts and limits in the order of the modes.
+    """The mode intervals of a run.
+
+    Args:
+        model: The model.
+        contacts, limits: Names of the contacts and limits, in the order of the modes.
 
     Attributes:
         ended: Intervals that have ended, in order of their ends.
-        present: Mode now, and its start, of each contact, limit or joint that is not free; it is replaced,
-            never changed.
+        present: Present mode of each contact, limit or joint that is not free, and its start [s]; the mapping
+            is replaced, never changed in place.
     """
 
     def __init__(self, model: pin.Model, contacts: Sequence[str], limits: Sequence[str]) -> None:
@@ -34,12 +38,15 @@ class ModeIntervals:
         self._joints: dict[int, str] = {}
         self._drives: dict[int, str] = {}
         self._named = np.zeros(len(self._names), dtype=np.int64)
-        self._others: bytes | None = None  # unknown, so that all are looked at
+        self._others: bytes | None = None  # unknown: the next update compares all modes
 
     def update(self, t: float, modes: Integers, sides: Integers) -> None:
-        """Take the modes (n + nl + nv,) from t [s]: some intervals end, others begin.
+        """Set the modes from a time on: end the intervals of modes that change, and begin new ones.
 
-        The sides (nv,) are not zero for the drives that are at the bounds of their efforts.
+        Args:
+            t: Time [s].
+            modes: (n + nl + nv,) modes of contacts, limits and joints.
+            sides: (nv,) nonzero for drives at their effort limits.
         """
         others = modes[len(self._names) :].tobytes() + sides.tobytes()
         named = modes[: len(self._names)]
@@ -63,7 +70,7 @@ class ModeIntervals:
         self.present = lasting | {source: (mode, t) for source, mode in now.items() if source not in lasting}
 
     def _change(self, t: float, changed: list[int], named: Integers) -> None:
-        """Take the modes of contacts and limits from t, of which some have others."""
+        """Set the modes (n + nl,) of contacts and limits from t [s] on; those in `changed` differ."""
         present = dict(self.present)
         for i in changed:
             source, mode = self._names[i], int(named[i])
@@ -75,7 +82,7 @@ class ModeIntervals:
         self.present, self._named = present, named.copy()
 
     def return_to(self, present: Mapping[str, tuple[str, float]]) -> None:
-        """Take modes that were present before for those of now."""
+        """Restore an earlier `present`."""
         self.present, self._others = present, None
 
     def _drive(self, velocity: int) -> str:
@@ -97,5 +104,5 @@ class ModeIntervals:
 
 
 def drive_name(model: pin.Model, velocity: int) -> str:
-    """Return what the drive of a joint is called."""
+    """Return the name of the drive of a joint, by the index of its velocity."""
     return f"{joint_of_velocity(model, velocity)} drive"

@@ -24,15 +24,14 @@ def _compile() -> None:
 
 
 class PairsApart:
-    """What is known of each pair: a direction along which it is apart, and how its points move in a step.
+    """Separating directions of p pairs of convex shapes.
 
-    Along a fixed direction the distance σ of two vertices has a bounded second derivative, so over a step of
-    length h it is at least min(σ₀, σ₁) − β h²/8, and so is the least of them. (15.8)
+    Along a fixed direction the distance of two vertices has a bounded second derivative. Over a step of size
+    h it is at least min(σ₀, σ₁) − β h²/8, and so is the gap along that direction. (15.8)
 
     Attributes:
-        directions: (p, 3) the direction of each pair: all that a copy of the motion needs of this object.
-        bends: (p,) what the acceleration of a point against one of the other shape does not exceed over the
-            step last looked at [m/s²].
+        directions: (p, 3) separating direction of each pair: the only state of this object.
+        bends: (p,) bound of the relative acceleration of two points of each pair in the last step [m/s²].
     """
 
     def __init__(self, model: pin.Model, layout: SceneLayout, pairs: Sequence[Contact]) -> None:
@@ -44,7 +43,7 @@ class PairsApart:
         self.bends = np.zeros(len(pairs))
 
     def at(self, q: Array) -> Array:
-        """Return (p,) by what each pair is apart at a configuration, at the least [m]."""
+        """Return (p,) lower bounds of the gaps at a configuration [m], and update the directions."""
         robot, tables = self._dynamics, self._tables
         robot.q[:] = q
         found = np.empty(len(self.bends))
@@ -57,9 +56,11 @@ class PairsApart:
         return found
 
     def over(self, step: DenseStep, peak: Array) -> Bools:
-        """Return (p,) whether each pair stays apart over a step, along the direction last known.
+        """Return (p,) whether each pair provably stays apart over a step, along its direction.
 
-        In it |v| and |v̇| do not exceed `peak` (2, nv).
+        Args:
+            step: The step.
+            peak: (2, nv) bounds of |v| and |v̇| in it.
         """
         robot, tables = self._dynamics, self._tables
         apart = np.zeros(len(self.bends), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""How far a robot reaches: the lengths of its chains, and contacts that can never touch."""
+"""Reach of a robot: lengths of its chains, and contacts that can never touch their surface."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from ..robot.names import frame_id
 
 
 def out_of_reach(model: pin.Model, contact: Contact, limited: bool) -> bool:
-    """Return whether a contact can never reach its surface, whatever the joints do.
+    """Return whether a contact can reach its surface at no configuration.
 
-    False is the safe answer; it is given where the surface is carried by a body. A collision shape that
-    cannot move relative to its surface never reaches it, even where the two overlap. `limited` says whether
-    the joint limits act.
+    False means that it may. It is returned if a body carries the surface. A collision shape that cannot move
+    relative to its surface never reaches it, even if the two overlap. `limited` is whether joint limits act.
     """
     surface = contact.plane
     tip = model.frames[frame_id(model, contact.frame)]
@@ -32,7 +31,7 @@ def out_of_reach(model: pin.Model, contact: Contact, limited: bool) -> bool:
 
 
 def link_lengths(model: pin.Model) -> list[float]:
-    """Return each joint's distance from the joint before it [m], zero where that is the world."""
+    """Return the distance of each joint from its parent joint [m]; zero if the parent is the world."""
     parents = list(model.parents)
     return [
         math.hypot(*placement.translation.tolist()) if parent > 0 else 0.0
@@ -41,7 +40,7 @@ def link_lengths(model: pin.Model) -> list[float]:
 
 
 def chain_length(model: pin.Model, links: list[float], contact: Contact) -> float:
-    """Return the length of the chain from a contact's first joint to its point, joints at zero travel [m]."""
+    """Return the length of the chain from a contact's first joint to its point [m], at zero travel."""
     frame = model.frames[frame_id(model, contact.frame)]
     tip = math.hypot(*frame.placement.act(np.array(contact.offset)).tolist())
     return (
@@ -53,7 +52,7 @@ def chain_length(model: pin.Model, links: list[float], contact: Contact) -> floa
 
 
 def sliding_travel(model: pin.Model, contact: Contact, limited: bool) -> float:
-    """Return how far the joints of a contact's chain can slide in all [m]; infinite where one has no end."""
+    """Return the total sliding travel of the joints of a contact's chain [m]; infinite if unbounded."""
     total = 0.0
     for joint in list(model.supports[model.frames[frame_id(model, contact.frame)].parentJoint])[1:]:
         kind = model.joints[joint].shortname()

@@ -1,4 +1,4 @@
-"""Rims in a motion: one that comes to lie flat stops it, for it touches all round."""
+"""Contacts that are rims. A rim that lies flat touches along the whole circle, which raises an error."""
 
 from __future__ import annotations
 
@@ -21,19 +21,16 @@ from .hybrid_state import HybridState
 
 
 class Rims:
-    """The rims of a motion.
-
-    What stops where a rim lies flat raises a `SimulationError`.
-    """
+    """The rims of a motion; checks raise a `SimulationError` if one lies flat."""
 
     def __init__(self, model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState) -> None:
         self._model, self._data, self._dynamics, self._state = model, data, dynamics, state
         self._rims = [k for k, contact in enumerate(dynamics.contacts) if contact.rim > 0.0]
 
     def jump(self, q: Array, later: Array) -> bool:
-        """Whether the lowest point of a closed rim goes round by a right angle or more from q to another.
+        """Whether the lowest point of an active rim turns by a right angle or more from q to `later`.
 
-        It does where the rim has come to lie flat and goes on beyond, however short the step is.
+        However short the step is, it does if the rim passes through a flat position.
         """
         closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
         if not closed:
@@ -42,16 +39,16 @@ class Rims:
         return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
 
     def refuse_flat(self) -> None:
-        """Stop where a closed rim has come to lie flat, as nearly as steps can tell."""
+        """Check that no active rim lies flat, within the resolution of steps."""
         closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
         self._refuse_flat(closed, self._dynamics.work.touching_gap, NEARLY_SINGULAR)
 
     def check(self, where: Integers, touching: float) -> None:
-        """Stop where a rim touches all round, within a distance [m]."""
+        """Check that no touching rim touches along its whole circle, to a distance [m]."""
         self._refuse_flat([k for k in self._rims if where[k] != APART], touching, 0.0)
 
     def check_step(self, rows: StepRows, found: StepResult, step: DenseStep) -> None:
-        """Stop where a rim that a time step presses lies flat in it: its lowest point goes round."""
+        """Check that no rim with an impulse in a time step lies flat in it: its lowest point would jump."""
         if not self._rims:
             return
         pressed = rows.contacts[found.impulse[rows.normals[: len(rows.contacts)]] > 0.0]
@@ -62,7 +59,7 @@ class Rims:
                 self._refuse(k)
 
     def _refuse_flat(self, rims: list[int], touching: float, least: float) -> None:
-        """Stop where all of a rim is nearer than a distance [m], or the sine of its tilt is below `least`."""
+        """Check that no whole rim is within a distance [m], and no sine of a tilt below `least`."""
         for k, tilt in zip(rims, self._tilts(rims, self._state.q), strict=True):
             size = float(np.linalg.norm(tilt))
             if 2.0 * self._dynamics.contacts[k].rim * size <= touching or size < least:
@@ -73,7 +70,7 @@ class Rims:
         raise SimulationError(f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact)
 
     def _tilts(self, rims: list[int], q: Array) -> list[Array]:
-        """Return u × n (3,) of rims, see `tilt_of_rim`."""
+        """Return u × n (3,) for each rim, see `tilt_of_rim`."""
         if not rims:
             return []
         placed = PlacedRobot(self._model, self._data, q)

@@ -197,7 +197,7 @@ class SceneImpacts:
             v: (nv,) velocity before the impact.
             first: The contact or limit that collides.
             touching: All that touch, `first` among them, contacts before limits.
-            limit: Whether to take the limit of an infinite sequence of impacts, a plastic impact of all. (14.8)
+            limit: Whether to take the limit of endless impacts, which is a plastic impact of all. (14.8)
             refuse: Whether to raise an error for an impact without restitution in which more than `CROWD`
                 contacts take part or whose waves are not resolved; adaptive steps are tried for up to `FEW`.
 
@@ -317,7 +317,7 @@ class SceneImpacts:
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
     def _accuracy(self, velocity: Array) -> float:
-        """Return the tolerance of adaptive steps through an impact, relative to the largest of its velocities."""
+        """Return the tolerance of adaptive steps through an impact, relative to its largest velocity."""
         missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
         return min(max(self._dynamics.work.rtol, missed), COARSEST)
 

@@ -1,9 +1,8 @@
-"""Pairs of convex shapes in a run: when they touch, in which points, and when these become others.
+"""Contact detection for pairs of convex shapes in event-driven steps. (theory.md, section 15)
 
-A pair that is apart is followed by conservative advancement on the dense output of each step, unless it stays
-apart along one direction. One that touches has contacts of single points, in places that the
-scene keeps for it; they end where a point leaves its face or edge, and others join them where the plane that
-holds the shapes apart meets another corner.
+Pairs without a fixed separating direction over a step are followed by conservative advancement on its dense
+output. Points in contact are removed where they leave their face or edge, and added where another corner
+reaches the plane of contact.
 """
 
 from __future__ import annotations
@@ -28,24 +27,24 @@ from .event_watch import crossing
 from .touching_points import Placed, TouchingPoints, Watched
 
 THIRDS = 8
-"""Parts of a step from which the third rates of corners' heights are estimated."""
+"""Number of intervals of a step from which the third rates of corner heights are estimated."""
 
 SAMPLES = (0.5, 1.0)
-"""Parts of a step at which it is seen whether a point has left its face or edge."""
+"""Fractions of a step at which points are checked for having left their face or edge."""
 
 TURNED = 0.1
-"""Part of the angle between two edges by which they turn before bounds are computed again."""
+"""Fraction of the sine of the angle between two edges by which they may turn before bounds are recomputed."""
 
 MEMBERS_PREFERRED = ("vertex-face", "face-vertex", "edge-edge", "vertex-edge", "edge-vertex", "vertex-vertex")
 
 
 class Meeting(NamedTuple):
-    """Where a pair of shapes ends a smooth motion.
+    """A change of contact of a pair of shapes, which ends a smooth motion.
 
     Attributes:
-        time: When [s].
-        pair: Its number.
-        leaving: Whether a point leaves its face or edge; else something touches.
+        time: Time of the change [s].
+        pair: Number of the pair.
+        leaving: Whether a point leaves its face or edge; else a point comes into contact.
     """
 
     time: float
@@ -54,14 +53,14 @@ class Meeting(NamedTuple):
 
 
 class ShapeWatch(TouchingPoints):
-    """When, in a step, pairs touch, or touch elsewhere; see `TouchingPoints`."""
+    """Locates changes of contact of pairs of shapes in steps; see `TouchingPoints`."""
 
     def _lift(self, watched: Watched) -> float:
-        """Return the height over the plane of contact below which corners lie in it [m]."""
+        """Return the height over the plane of contact below which corners are taken to lie in it [m]."""
         return max(4.0 * self.tolerance, COINCIDE * watched.size)
 
     def within(self, step: DenseStep, end: float) -> Meeting | None:
-        """Return where the first pair ends a step until a time, or None."""
+        """Return the first change of contact in a step up to a time [s], or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
         near, touching = [], self._state.touching
@@ -93,12 +92,12 @@ class ShapeWatch(TouchingPoints):
         return at
 
     def _touch(self, watched: Watched, step: DenseStep, end: float) -> Advance:
-        """Return where a pair that is apart touches."""
+        """Return where a separated pair touches in a step up to a time [s]."""
         bend, floor = float(self._apart.bends[watched.number]), 0.25 * self._work.touching_gap
         found = first_touch(self._at(watched, step), step.start, end, bend, floor)
-        return self._settled(watched, found, step)
+        return self._checked(watched, found, step)
 
-    def _settled(self, watched: Watched, found: Advance | None, step: DenseStep) -> Advance:
+    def _checked(self, watched: Watched, found: Advance | None, step: DenseStep) -> Advance:
         if found is None:
             raise IrregularMotionError(
                 f"contacts: the shapes of {watched.label!r} neither touch nor separate near t = "
@@ -108,19 +107,26 @@ class ShapeWatch(TouchingPoints):
         return found
 
     def _turning(self, watched: Watched, step: DenseStep, peak: Array) -> tuple[float, float]:
-        """Return what the speeds of turning of both shapes do not exceed together [1/s], and second rates.
+        """Return bounds of the rotation of both shapes in a step.
 
-        The latter is for directions that one of them carries, as seen from the other [1/s²].
+        Args:
+            watched: The pair.
+            step: The step.
+            peak: (2, nv) bounds of |v| and |v̇| in it.
+
+        Returns:
+            Bound of the sum of their angular speeds [1/s]; bound of the second rate of a direction carried by
+            one shape, relative to the other [1/s²].
         """
         turn = np.linalg.norm(joint_jacobian(self._model, self._data, step.q)[3:], axis=0)
         spins = [float((turn * supports) @ peak[0]) for supports in watched.supports]
         faster = sum(float((turn * supports) @ peak[1]) for supports in watched.supports)
         return sum(spins), faster + sum(s * s for s in spins) + sum(spins) ** 2
 
-    # ---- pairs that touch
+    # ---- touching pairs
 
     def _change(self, watched: Watched, step: DenseStep, end: float, peak: Array) -> Meeting | None:
-        """Return where what touches becomes something else."""
+        """Return where the points of a touching pair change in a step up to a time [s], or None."""
         at = self._at(watched, step)
         slack = self.tolerance
         best: Meeting | None = None
@@ -140,7 +146,6 @@ class ShapeWatch(TouchingPoints):
                 best, end = Meeting(found, watched.number, True), found
                 break
             before = time
-        # within no time at all nothing else can come near
         advanced = self._next_corner(watched, at, step, end, peak) if end > step.start else None
         if advanced is not None and advanced.touches:
             best = Meeting(advanced.time, watched.number, False)
@@ -157,13 +162,13 @@ class ShapeWatch(TouchingPoints):
         return best
 
     def _guarding(self, watched: Watched) -> int:
-        """Return the place whose plane holds the shapes apart."""
+        """Return the number of the contact whose plane separates the shapes."""
         return min(watched.points, key=lambda i: MEMBERS_PREFERRED.index(watched.points[i].touch.kind))
 
     def _next_corner(
         self, watched: Watched, at: Callable[[float], PairState], step: DenseStep, end: float, peak: Array
     ) -> Advance | None:
-        """Return where another corner comes to the plane of contact, or None if there is none."""
+        """Return where another corner reaches the plane of contact; None if no corner can."""
         i = self._guarding(watched)
         touch, normal = watched.points[i].touch, watched.normals[i]
         times = (step.start, 0.5 * (step.start + end), end)
@@ -173,7 +178,7 @@ class ShapeWatch(TouchingPoints):
         lift = max(self._lift(watched), *(4.0 * self._slack(watched, (one.a, one.b)) for one in states))
         for k, side in enumerate(("vertex-face", "face-vertex")):
             heights = np.array([sample[k] for sample in samples])
-            mask = np.abs(heights).max(axis=0) > lift  # others are held where they are
+            mask = np.abs(heights).max(axis=0) > lift  # the others stay in the plane
             mask[corners_of(touch, states[0].a, states[0].b)[k]] = False
             tips = [p.touch.features[k] for p in watched.points.values() if p.touch.kind == side]
             mask[tips] = False
@@ -185,7 +190,7 @@ class ShapeWatch(TouchingPoints):
         others_a, others_b = masks
         if not (others_a.any() or others_b.any()):
             return None
-        floor = max(0.25 * self._work.touching_gap, 0.1 * self.tolerance)  # what is closed drifts by more
+        floor = max(0.25 * self._work.touching_gap, 0.1 * self.tolerance)  # constraint drift is larger
         spin, faster = self._turning(watched, step, peak)
 
         def heights_at(t: float) -> tuple[Array, Array, float, float]:
@@ -212,7 +217,7 @@ class ShapeWatch(TouchingPoints):
             height, rate, bend, until = heights_at(t)
             plane = np.zeros(1)
             now = Front(height, rate, plane, plane, 0.0, float(height.min()), bend, until)
-            if t == step.start:  # second rates alone let most steps pass
+            if t == step.start:  # the bound of second rates alone suffices in most steps
                 return [now]
             if third is None:
                 sampled = [heights_at(step.start + k * apart)[1] for k in range(THIRDS + 1)]
@@ -221,10 +226,10 @@ class ShapeWatch(TouchingPoints):
             return [now._replace(closing_a=np.minimum(second, 0.0), closing_b=plane, third=third)]
 
         found = advance(front, step.start, end, floor)
-        return self._settled(watched, found, step)
+        return self._checked(watched, found, step)
 
     def meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
-        """Let a pair touch, or touch elsewhere; return the places of what arrives."""
+        """Apply a change of contact; return the numbers of the contacts whose gap closes."""
         watched = self._pairs[meeting.pair]
         q, v = step.at(meeting.time)
         self._set(q)
@@ -232,7 +237,7 @@ class ShapeWatch(TouchingPoints):
         if not watched.points:
             apart = gap(*placed)
             touching = touches(*placed, apart.normal, max(self.tolerance, abs(apart.value)))
-            return self._fill(watched, touching, placed, apart.normal)
+            return self._add(watched, touching, placed, apart.normal)
         if not meeting.leaving:
             i = self._guarding(watched)
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
@@ -241,17 +246,17 @@ class ShapeWatch(TouchingPoints):
             sunk = min(-min(low_a.min(), low_b.min(), 0.0), CLOSE * watched.size)
             slack = max(self._slack(watched, placed), sunk)
             found = touches(*placed, normal, slack)
-            arriving = self._fill(watched, found, placed, normal)
+            arriving = self._add(watched, found, placed, normal)
             if arriving:
                 return arriving
             if watched.pair.a.shape.radius + watched.pair.b.shape.radius == 0.0:
                 flush = (frozenset(np.flatnonzero(low <= slack).tolist()) for low in (low_a, low_b))
-                watched.become(flush=tuple(flush))
+                watched.update(flush=tuple(flush))
                 return []
         return self._change_features(watched, step, meeting.time, q, v)
 
     def _slack(self, watched: Watched, placed: Placed) -> float:
-        """Return by how much what touches may seem apart, for what is closed drifts within a step [m]."""
+        """Return the gap up to which corners count as touching [m]: the tolerance or the constraint drift."""
         radius = watched.pair.a.shape.radius + watched.pair.b.shape.radius
         worst = 0.0
         for i, point in watched.points.items():
@@ -260,7 +265,10 @@ class ShapeWatch(TouchingPoints):
         return max(self.tolerance, worst)
 
     def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
-        """Let go of points that leave their faces and edges; let touch what touches a little later."""
+        """Remove points that leave their faces and edges, and add those in contact slightly later.
+
+        Return the numbers of the contacts whose gap closes.
+        """
         speed = float(np.abs(v).max()) * (1.0 + watched.size)
         ahead = CLOSE * watched.size / speed if speed > 0.0 else 0.0
         later, _ = step.at(t + min(ahead, 0.1 * step.h))
@@ -275,14 +283,14 @@ class ShapeWatch(TouchingPoints):
             beyond = follow(point.touch, *placed, watched.normals[i]).beyond > self.tolerance
             other = bool(known) and (point.touch.kind, point.touch.features) not in known
             if beyond or other:
-                self._leave(watched, i)
+                self._remove(watched, i)
         normal = apart.normal
         if not round_ and watched.points:
             i = self._guarding(watched)
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
         if not round_:
             found = touches(*placed, normal, slack)
-        arriving = self._fill(watched, found, placed, normal)
+        arriving = self._add(watched, found, placed, normal)
         self._set(q)
         return arriving
 
@@ -296,11 +304,18 @@ def _heights(touch: Touch, normal: Array, state: PairState) -> tuple[Array, Arra
 
 
 def bend_of_heights(touch: Touch, state: PairState, spin: float, faster: float) -> tuple[float, float]:
-    """Return what second rates of corners' heights over a plane of contact do not exceed [m/s²]. (15.9)
+    """Return a bound of the second rates of corner heights over a plane of contact. (15.9)
 
-    That is for a corner on a face, or two edges, from now on and for a time [s] that is returned too; for
-    round shapes it is a guess. The shapes, held apart by a touch, turn by `spin` together at the most [1/s];
-    second rates of directions that they carry do not exceed `faster` [1/s²].
+    It is rigorous for a corner on a face and for two edges, and an estimate for round shapes.
+
+    Args:
+        touch: The features in contact, which define the plane.
+        state: The placed shapes and their motion.
+        spin: Bound of the sum of their angular speeds [1/s].
+        faster: Bound of the second rates of directions that they carry [1/s²].
+
+    Returns:
+        The bound [m/s²], and the time for which it holds [s].
     """
     twice = 2.0 * (state.a.shape.reach + state.b.shape.reach)
     if touch.kind != "edge-edge":

@@ -1,4 +1,4 @@
-"""The start of a motion: checks of the state."""
+"""Checks of the initial state of a motion."""
 
 from __future__ import annotations
 
@@ -30,23 +30,30 @@ def check_start(
     extent: float,
     left: Callable[[Array], Array],
 ) -> None:
-    """Check the state in which a motion starts; put it onto surfaces and limits that it is off by rounding.
+    """Check the initial state of a motion, and remove overlap by rounding.
 
-    The `overlap` of the state describes what overlaps by more, but by no more than time steps may leave: that
-    `left` returns for the rates of gaps, see `left_by_steps`. Held contacts keep the gaps that they have.
-    Names are those of contacts and limits, the extent is the robot's size [m].
+    Larger overlap that time steps may have left is described in `state.overlap`. Held contacts keep gaps.
+
+    Args:
+        model: The model.
+        data: Its data.
+        dynamics: The contacts and limits.
+        state: The state; `q` and `overlap` may be replaced.
+        names: Names of the contacts and limits.
+        extent: The robot's size [m].
+        left: Returns the largest overlap that time steps may leave [m] for a gap rate, see `left_by_steps`.
 
     Raises:
-        InputError: A contact below its surface, a joint beyond its limit, a held contact that moves or is off
-            its surface.
+        InputError: A contact below its surface, a joint beyond its limit, a held contact that moves or is
+            too far from its surface.
     """
     count = len(dynamics.contacts)
     free = count - int(dynamics.work.bilateral.sum())
     gaps, rates = dynamics.gaps_at(state.q, state.v).T
-    acting = np.append(np.arange(count, len(gaps)), np.arange(free))  # an angle in degrees is met first
+    acting = np.append(np.arange(count, len(gaps)), np.arange(free))  # limits first: hint at degrees
     below = -dynamics.work.touching_gap
     if ((gaps[acting] < below) & (gaps[acting] >= -START_ROUNDING)).any():
-        _begin_at(model, data, dynamics, state, acting[np.abs(gaps[acting]) <= START_ROUNDING])
+        _remove_rounding(model, data, dynamics, state, acting[np.abs(gaps[acting]) <= START_ROUNDING])
         gaps, rates = dynamics.gaps_at(state.q, state.v).T
     for i in acting[~(gaps[acting] >= -START_ROUNDING)].tolist():
         gap = float(gaps[i])
@@ -69,19 +76,24 @@ def check_start(
 
 
 def left_by_steps(dt: float, extent: float, gravity: float, rates: Any) -> Any:
-    """Return the overlap that a time step may leave within it [m], for a rate of the gap.
+    """Return the largest overlap within a time step [m]. (theory.md, 16)
 
-    A step of length dt [s] sees to the gaps at its end, which it leads to from anywhere in it by their rates
-    [m/s], a number or an array, and what they change by, see `STEPS_SLACK`. The extent is the robot's size
-    [m]; gravity is in m/s².
+    Gaps are nonnegative only at the ends of steps; from any time within a step, they change up to its end by
+    their rates times dt and by the slack `STEPS_SLACK`.
+
+    Args:
+        dt: Step size [s].
+        extent: The robot's size [m].
+        gravity: Acceleration of gravity [m/s²].
+        rates: Gap rates [m/s], a number or an array.
     """
     return STEPS_TOUCH * extent + dt * (np.maximum(-rates, 0.0) + STEPS_SLACK * dt * gravity)
 
 
-def _begin_at(
+def _remove_rounding(
     model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState, numbers: Integers
 ) -> None:
-    """Put the start onto the surfaces and limits that it is off by rounding."""
+    """Move the configuration onto the surfaces and limits from which it differs by rounding."""
     count = len(dynamics.contacts)
     state.q = state.q.copy()
     for limit in (dynamics.limits[i - count] for i in numbers if i >= count):
@@ -92,7 +104,7 @@ def _begin_at(
 
 
 def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: range, extent: float) -> None:
-    """Let held contacts keep their gaps (n,), if these are small and they do not move."""
+    """Check that held contacts are near their surfaces and do not move; they keep their gaps (n,) [m]."""
     for i in held:
         if abs(gaps[i]) > HELD_GAP * extent:
             raise InputError(
@@ -113,10 +125,10 @@ def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: 
 
 
 def state_at(model: pin.Model, data: Any, q0: ArrayLike, v0: ArrayLike) -> HybridState:
-    """Return the state of a start.
+    """Return the initial state at t = 0.
 
     Raises:
-        InputError: Numbers of the wrong shape, or not finite; q0 that is no configuration.
+        InputError: Arrays of the wrong shape or not finite; q0 that is not a configuration.
     """
     try:
         q = checked_configuration(data_cache(model, data), model, q0).copy()

@@ -1,4 +1,4 @@
-"""The points in which pairs of convex shapes touch, as contacts of single points."""
+"""Touching pairs of convex shapes in event-driven steps, each represented by contacts of single points."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ Placed = tuple[PlacedShape, PlacedShape]
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """A pair in a run.
+    """A pair of convex shapes in a run.
 
     Attributes:
-        number: Of the pair.
-        pair: The shapes.
-        places: Numbers of the contacts that are kept for it.
-        blanks: What stands there where nothing touches.
-        size: Of both shapes together [m].
-        supports: (2, nv) True for velocities that move A, and those that move B.
-        state: The state of the motion, with what touches.
+        number: Number of the pair.
+        pair: The shapes A and B.
+        places: Numbers of the contacts reserved for its points.
+        blanks: The placeholders of these contacts while nothing touches.
+        size: Sum of the sizes of both shapes [m].
+        supports: (2, nv) whether each velocity moves A, and whether it moves B.
+        state: The state of the motion.
     """
 
     number: int
@@ -56,21 +56,21 @@ class Watched:
 
     @property
     def now(self) -> Touching:
-        """What touches."""
+        """The present contact of the pair."""
         return self.state.touching.get(self.number, _NOTHING)
 
     @property
     def points(self) -> dict[int, PointContact]:
-        """The points that touch, by place."""
+        """The points in contact, by number of the contact."""
         return self.now.points
 
     @property
     def normals(self) -> dict[int, Array]:
-        """(3,) normal of each, from B to A."""
+        """The normal (3,) of each point, from B to A, by number of the contact."""
         return self.now.normals
 
-    def become(self, **changes: Any) -> None:
-        """Let something else touch."""
+    def update(self, **changes: Any) -> None:
+        """Replace fields of the present contact in the state of the motion."""
         others = {number: one for number, one in self.state.touching.items() if number != self.number}
         now = self.now._replace(**changes)
         self.state.touching = others | {self.number: now} if now.points else others
@@ -80,9 +80,9 @@ _NOTHING, _NONE = Touching({}, {}), np.zeros(0, dtype=np.int64)
 
 
 class TouchingPoints:
-    """The pairs of shapes of one run, and the contacts that stand for the points in which they touch.
+    """The pairs of convex shapes of one run, and the contacts that represent their points in contact.
 
-    The places for pairs in `dynamics` are filled here.
+    The reserved contacts in `dynamics` and its workspace are set here.
     """
 
     def __init__(
@@ -111,11 +111,11 @@ class TouchingPoints:
 
     @property
     def directions(self) -> Array | None:
-        """(p, 3) along which pairs are apart, which steps change in place; None without pairs."""
+        """(p, 3) Separating directions, which steps change in place; None without pairs."""
         return self._apart.directions if self._pairs else None
 
     def continue_with(self, directions: Array | None) -> None:
-        """Continue from another state, with its directions."""
+        """Restore the separating directions (p, 3), and the contacts of the present state."""
         if directions is not None:
             self._apart.directions[:] = directions
         for watched in self._touching():
@@ -132,12 +132,17 @@ class TouchingPoints:
         forward_kinematics(self._model, self._data, q)
 
     def start(self, q: Array, v: Array, rounding: float, left: Callable[[Any], Any]) -> None:
-        """Let the pairs touch that do at the start; the state takes the overlap of others.
+        """Set the contacts of the pairs that touch at the start of a motion.
 
-        Overlap by `rounding` [m] is none; `left` returns what time steps may leave, of the rate of a gap.
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            rounding: Overlap that is taken as zero [m].
+            left: Returns the largest overlap that time steps may leave [m] for a gap rate [m/s]; such an
+                overlap is described in `state.overlap`.
 
         Raises:
-            InputError: A pair that overlaps by more.
+            InputError: A pair overlaps by more.
         """
         forward_kinematics(self._model, self._data, q, v)
         near = self._apart.at(q) <= rounding
@@ -156,10 +161,10 @@ class TouchingPoints:
                     )
                 self._state.overlap = overlap
             if found.value <= rounding:
-                self._fill(watched, touches(*placed, found.normal, rounding), placed, found.normal)
+                self._add(watched, touches(*placed, found.normal, rounding), placed, found.normal)
 
     def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
-        """Return the rate at which a corner of a pair moves into the other shape, the least of all [m/s]."""
+        """Return the least rate of a corner's height over the other shape along the normal [m/s]."""
         data, pair = self._data, watched.pair
         a, b = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
         linear, angular = np.split(a - b, 2)
@@ -167,19 +172,19 @@ class TouchingPoints:
         return float(((linear + np.cross(angular, corners)) @ normal).min())
 
     def clear(self) -> None:
-        """Let nothing touch."""
+        """Remove the contacts of all pairs."""
         for watched in self._pairs:
             for i, blank in zip(watched.places, watched.blanks, strict=True):
-                self._put(i, blank)
+                self._set_constants(i, blank)
                 self._dynamics.contacts[i] = blank
                 self._work.modes[i] = FREE
         self._state.touching = {}
 
     def restart(self, q: Array, within: float) -> list[int]:
-        """Let the pairs touch whose gap or overlap is within a distance [m]; return the places filled.
+        """Set the contacts of the pairs whose gap or overlap is within a distance [m]; return their numbers.
 
         Raises:
-            IrregularMotionError: A pair that overlaps by more.
+            IrregularMotionError: A pair overlaps by more.
         """
         self.clear()
         if not self._pairs:
@@ -196,13 +201,13 @@ class TouchingPoints:
                 )
             if found.value <= within:
                 touching = touches(*placed, found.normal, max(within, abs(found.value)))
-                filled += self._fill(watched, touching, placed, found.normal)
+                filled += self._add(watched, touching, placed, found.normal)
         return filled
 
     def join(self, q: Array, v: Array) -> list[int]:
-        """Let the other pairs touch that approach and are as near as what touches; return the places filled.
+        """Set the contacts of pairs that approach with a gap within the tolerance; return their numbers.
 
-        What arrives at an instant arrives together: a plank that falls flat onto two blocks.
+        Pairs that touch at the same instant collide together, as when a plank falls flat onto two blocks.
         """
         touching = self._state.touching
         near = [k for k in np.flatnonzero(self._apart.at(q) <= self.tolerance).tolist() if k not in touching]
@@ -214,11 +219,11 @@ class TouchingPoints:
             found = gap(*placed)
             if found.value <= self.tolerance and self._fastest(watched, placed, found.normal) < 0.0:
                 within = max(self.tolerance, abs(found.value))
-                filled += self._fill(watched, touches(*placed, found.normal, within), placed, found.normal)
+                filled += self._add(watched, touches(*placed, found.normal, within), placed, found.normal)
         return filled
 
     def refresh(self, q: Array) -> None:
-        """Bring the contacts of what touches, as impacts take them, to a configuration."""
+        """Update the contacts of touching pairs that impacts use to a configuration."""
         touching = self._touching()
         if touching:
             self._set(q)
@@ -226,19 +231,19 @@ class TouchingPoints:
             placed, points, normals = watched.pair.placed(self._data), {}, {}
             for i, point in watched.points.items():
                 now = follow(point.touch, *placed, watched.normals[i])
-                instant = self._made(watched, i, placed, now.touch, now.normal).instant
+                instant = self._point(watched, i, placed, now.touch, now.normal).instant
                 points[i], normals[i] = point._replace(instant=instant), now.normal
                 self._dynamics.contacts[i] = instant
-            watched.become(points=points, normals=normals)
+            watched.update(points=points, normals=normals)
 
-    def _made(self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
+    def _point(self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
         blank = watched.blanks[watched.places.index(i)]
         return point_contact(watched.pair, self._data, placed, normal, touch, blank)
 
-    # ---- what touches
+    # ---- points in contact
 
-    def _fill(self, watched: Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
-        """Give places to what touches and has none; return them."""
+    def _add(self, watched: Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
+        """Assign contacts to the points in contact that have none; return the numbers of these contacts."""
         present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
         near = COINCIDE * watched.size
         fresh = [
@@ -255,41 +260,41 @@ class TouchingPoints:
                 value=watched.label,
             )
         for i, touch in zip(free, fresh, strict=False):
-            self._take(watched, i, self._made(watched, i, placed, touch, normal), normal)
+            self._assign(watched, i, self._point(watched, i, placed, touch, normal), normal)
         if fresh:
-            watched.become(flush=_NOTHING.flush)
+            watched.update(flush=_NOTHING.flush)
         return free[: len(fresh)]
 
-    def _take(self, watched: Watched, i: int, point: PointContact, normal: Array) -> None:
-        watched.become(points={**watched.points, i: point}, normals={**watched.normals, i: normal})
-        self._put(i, point.lasting or point.instant)
+    def _assign(self, watched: Watched, i: int, point: PointContact, normal: Array) -> None:
+        watched.update(points={**watched.points, i: point}, normals={**watched.normals, i: normal})
+        self._set_constants(i, point.lasting or point.instant)
         self._dynamics.contacts[i] = point.instant
 
-    def _put(self, i: int, contact: Contact) -> None:
-        """Let a place of the workspace be that of a contact."""
+    def _set_constants(self, i: int, contact: Contact) -> None:
+        """Set the constants of contact i in the workspace."""
         tip, base, constants = contact_constants(self._model, contact)
         self._work.contact_constants[i], self._work.contact_joints[i] = constants, (tip, base)
 
-    def _leave(self, watched: Watched, i: int) -> None:
-        """Let nothing touch in a place any more."""
+    def _remove(self, watched: Watched, i: int) -> None:
+        """Remove the point of contact i."""
         blank = watched.blanks[watched.places.index(i)]
         points, normals = ({k: x for k, x in of.items() if k != i} for of in watched.now[:2])
-        watched.become(points=points, normals=normals)
-        self._put(i, blank)
+        watched.update(points=points, normals=normals)
+        self._set_constants(i, blank)
         self._dynamics.contacts[i] = blank
         self._work.modes[i] = FREE
 
     def review(self) -> None:
-        """Leave the places of what has opened.
+        """Remove the points that have separated.
 
         Raises:
-            IrregularMotionError: Corners of polytopes that stay on corners or edges: no plane is common.
+            IrregularMotionError: A corner stays on a corner or edge, where the normal is undetermined.
         """
         modes = self._work.modes
         for watched in self._touching():
             for i in watched.points:
                 if modes[i] == FREE:
-                    self._leave(watched, i)
+                    self._remove(watched, i)
                 elif watched.points[i].lasting is None:
                     kind = watched.points[i].touch.kind.replace("-", " on ")
                     raise IrregularMotionError(
