@@ -1,18 +1,18 @@
-"""Coulomb's law with more rows than velocities: Newton's method in the velocities. (theory.md, 16)
+"""Coulomb's law with more rows than velocities, solved by Newton's method in the velocities. (theory.md, 16)
 
-From the impulses f of one iteration the next ones are
+The method of augmented Lagrangians (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991)
+computes from impulses f the next ones, f⁺, by
 
-    f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺,                                                 (16.3)
+    f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺.                                                 (16.3)
 
-r > 0 a compliance for each contact or row, P for a contact
+r > 0 is a compliance for each contact or row. For a contact
 
     P(z) = (Π_ρ(z_t), [z_n]₊),   ρ = μ [z_n]₊,                                                          (16.4)
 
-Π_ρ the projection onto the disc of radius ρ, and for scalar rows that onto their bounds. A fixed point
-satisfies the law, whatever r. (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991.) From
-f = 0 the first f⁺ are the forces of contacts with compliances r; each further iteration makes u smaller, by a
-factor of about r/W. Newton's method with a line search solves (16.3) for w in a few steps. Its matrix has the
-size of w, and zeros for bodies that do not touch.
+where Π_ρ is the projection onto the disc of radius ρ; for a scalar row P is the projection onto its bounds. A
+fixed point satisfies the law for any r. From f = 0 the first f⁺ are the impulses of contacts with compliances
+r; each further iteration reduces u by a factor of about r/W. Newton's method with a line search solves (16.3)
+for w in a few steps. Its matrix has the size of w, with zeros for bodies that are not in contact.
 """
 
 from __future__ import annotations
@@ -34,43 +34,43 @@ ITERATIONS = 40
 """Largest number of iterations of (16.3)."""
 
 STEPS = 40
-"""Largest number of steps of Newton's method in an iteration, and of a line search."""
+"""Largest number of steps of Newton's method per iteration, and of steps of a line search."""
 
 PATIENCE = 3
-"""Iterations that do not halve the change after which they end."""
+"""Number of successive iterations without halving of the change after which the method may end."""
 
 FINER = 0.1
-"""Part of r used from an iteration on that does not halve the change, if the last such part has halved it."""
+"""Factor of r after an iteration that does not halve the change of f, if the last factor has halved it."""
 
 SLOPE = 0.1
-"""Largest slope at the end of a line search, relative to that at its start."""
+"""Slope at the end of a line search relative to that at its start."""
 
 
 class VelocityProblem(NamedTuple):
-    """The law for nc contacts, three rows (t₁, t₂, n) each, and for ns scalar rows, in m velocities."""
+    """A contact problem of nc contacts, three rows (t₁, t₂, n) each, and ns scalar rows, in m velocities."""
 
     mass: FloatRows  # (m, m) M
     inverse: FloatRows  # (m, m) its inverse
-    start: Integers  # (m,) first columns of their rows that may not be zero
-    values: FloatRows  # (n, …) nonzero entries of each row of J, in the same columns for a whole contact
+    start: Integers  # (m,) first column of each row of both that may be nonzero
+    values: FloatRows  # (n, …) nonzero entries of each row of J; same columns for the rows of a contact
     columns: IntegerRows  # (n, …) their columns, in ascending order
     counts: Integers  # (n,) their numbers
-    free: Floats  # (n,) u without impulses
+    free: Floats  # (n,) u_free, velocities without impulses
     friction: Floats  # (nc,) coefficients of friction
     lower: Floats  # (ns,) lower bounds of scalar impulses
     upper: Floats  # (ns,) upper bounds of scalar impulses
-    compliance: Floats  # (nc,) of the contacts, where that of scalar rows is 1
+    compliance: Floats  # (nc,) compliances of contacts relative to those of scalar rows
 
 
 class Iterate(NamedTuple):
-    """Where the iteration stands."""
+    """An iterate of Newton's method."""
 
-    w: Floats  # (m,) velocities
+    w: Floats  # (m,) change of the velocities
     u: Floats  # (n,) u_free + J w
     f: Floats  # (n,) f⁺ of (16.3)
     momentum: Floats  # (m,) M w
-    off: Floats  # (m,) M w − Jᵀ f⁺
-    scale: Floats  # (m,) 1/√M_aa, times which momenta are in one unit
+    residual: Floats  # (m,) M w − Jᵀ f⁺
+    scale: Floats  # (m,) 1/√M_aa, which makes momenta comparable
 
 
 @inlined
@@ -93,13 +93,13 @@ def add_transposed(values, columns, counts, x, out):
 
 @inlined
 def length(x, y):
-    """Return the length of a vector, in less time than `math.hypot`."""
+    """Return √(x² + y²), faster than `math.hypot`."""
     return math.sqrt(x * x + y * y)
 
 
 @external
 def impulses(u, before, mu, lower, upper, r, out):
-    """Fill out (n,) with f⁺ of (16.3) from u (n,) and f, `before` (n,)."""
+    """Fill out (n,) with f⁺ = P(f − u/r) of (16.3), f = `before` (n,)."""
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
@@ -116,7 +116,7 @@ def impulses(u, before, mu, lower, upper, r, out):
 
 @inlined
 def fill_derivative(z1, z2, z3, mu, coupled, d):
-    """Fill d (3, 3) with ∂P at z of a contact that is closed, unless `coupled` without that by z_n of ρ."""
+    """Fill d (3, 3) with ∂P/∂z of a closed contact, without ∂ρ/∂z_n unless `coupled`. (16.4)"""
     for a in range(3):
         for b in range(3):
             d[a, b] = 0.0
@@ -135,11 +135,16 @@ def fill_derivative(z1, z2, z3, mu, coupled, d):
 
 @external
 def fill_system(problem, profile, r, u, before, coupled, system):
-    """Fill system (m, m) with the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
+    """Fill system (m, m) with the matrix of Newton's method, M + (1/r) Jᵀ ∂P J.
 
-    The profile has first and last columns (m,), see `find_profile`; r (n,) is that of (16.3), u (n,) are
-    velocities, before (n,) is f. Unless friction is `coupled` to normal impulses the matrix is symmetric and
-    definite.
+    Args:
+        problem: The `VelocityProblem`.
+        profile: First and last columns (m,) of each row, see `find_profile`.
+        r: (n,) compliances.
+        u: (n,) velocities.
+        before: (n,) f.
+        coupled: Whether ∂ρ/∂z_n is included; without it the matrix is symmetric and positive definite.
+        system: (m, m) is overwritten.
     """
     mass, _, start, values, columns, counts, _, mu, lower, upper, _ = problem
     first, last = profile
@@ -175,9 +180,9 @@ def fill_system(problem, profile, r, u, before, coupled, system):
 
 @external
 def balance(problem, r, before, now):
-    """Fill u, f⁺, M w and M w − Jᵀ f⁺ of an `Iterate`; return the relative size of the last, times 1/√M_aa.
+    """Fill u, f⁺, M w and the residual of an `Iterate` from its w; return the relative norm of the residual.
 
-    Other arguments are those of `fill_system`.
+    Momenta are scaled by 1/√M_aa. Other arguments are those of `fill_system`.
     """
     mass, _, start, values, columns, counts, free, mu, lower, upper, _ = problem
     w, u, f, momentum, out, scale = now
@@ -203,11 +208,10 @@ def balance(problem, r, before, now):
 
 @external
 def length_of_step(problem, r, before, now, du, slope, curvature):
-    """Return the length of a step, at most one: where its residual is orthogonal to it, zero if nowhere.
+    """Return the length t ≤ 1 of a step d at which the residual is orthogonal to d; 0 if d does not descend.
 
-    Where friction does not follow normal impulses this is the minimum of a convex function. With r (n,) of
-    (16.3), before (n,) f, the `Iterate` now, whose f takes the impulses at the end, the change du (n,) of u
-    over the whole step d, slope dᵀM w and curvature dᵀM d.
+    Without ∂ρ/∂z_n this is the minimum of a convex function along d. `now` is the `Iterate` at t = 0, whose f
+    is overwritten; du (n,) is J d, slope dᵀM w, curvature dᵀM d; other arguments as in `fill_system`.
     """
     mu, lower, upper, u, f = problem.friction, problem.lower, problem.upper, now.u, now.f
     trial = np.empty(len(u))
@@ -222,7 +226,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
         here = slope + share * curvature - dot(du, f)
         if abs(here) <= SLOPE * abs(start) or (k == 0 and here <= 0.0):
             break
-        # Illinois: the end that stays counts half
+        # Illinois method: halve the value at the end that is kept
         if here > 0.0:
             high, at_high, at_low = share, here, (0.5 * at_low if side > 0 else at_low)
             side = 1
@@ -235,7 +239,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
 
 @external
 def find_profile(problem, first, last):
-    """Fill the first and the last columns (m,) of the rows of the factors of M + JᵀJ."""
+    """Fill the first and the last nonzero columns (m,) of each row of the factors of M + JᵀJ."""
     start, columns, counts = problem.start, problem.columns, problem.counts
     m = len(start)
     for a in range(m):
@@ -256,7 +260,11 @@ def find_profile(problem, first, last):
 
 @external
 def fill_compliances(problem, part, diagonal, given):
-    """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
+    """Fill the diagonal (n,) of W, for each contact its largest entry, and the compliances r, given (n,).
+
+    The largest r of a contact is `part` times the largest diagonal entry of W; without contacts r is in
+    proportion to the diagonal.
+    """
     _, inverse, _, values, columns, counts, _, _, _, _, compliance = problem
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
@@ -277,24 +285,24 @@ def fill_compliances(problem, part, diagonal, given):
 
 @inlined
 def solve_compliances(problem, profile, r, before, least, now, system):
-    """Bring w to the solution of (16.3) for given f, by Newton's method.
+    """Solve (16.3) for w of the `Iterate` now, given f, by Newton's method.
 
-    The arguments are those of `fill_system`, the relative size `least` of the residual that is enough, small
-    so that w is a function that can be differentiated, and the `Iterate` now, which changes.
+    It stops at a relative norm `least` of the residual, which is small so that results are differentiable.
+    system (m, m) is a scratch array; other arguments as in `fill_system`.
     """
-    w, momentum, off = now.w, now.momentum, now.off
-    m, reached = len(w), math.inf
+    w, momentum, residual = now.w, now.momentum, now.off
+    m, previous_error = len(w), math.inf
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
         answer_signals()
-        left = balance(problem, r, before, now)
-        if step == STEPS or left <= least or (left < 1e3 * least and left > 0.5 * reached):
+        error = balance(problem, r, before, now)
+        if step == STEPS or error <= least or (error < 1e3 * least and error > 0.5 * previous_error):
             break
-        reached, share = left, 0.0
-        for attempt in range(2):  # the second one descends in any case
+        previous_error, share = error, 0.0
+        for attempt in range(2):  # the second matrix is definite, so its step descends
             fill_system(problem, profile, r, now.u, before, attempt == 0, system)
             for a in range(m):
-                d[a] = -off[a]
+                d[a] = -residual[a]
             if not eliminate_profile(system, profile[1], d):
                 continue
             rates(problem.values, problem.columns, problem.counts, d, du)
@@ -308,9 +316,9 @@ def solve_compliances(problem, profile, r, before, least, now, system):
 
 @inlined
 def residual_of(problem, diagonal, x, now):
-    """Fill w = M⁻¹ Jᵀ x of an `Iterate` and what follows from it; return the residual of the law [m/s].
+    """Fill an `Iterate` with w = M⁻¹ Jᵀ x and its u and f⁺; return the residual of Coulomb's law [m/s].
 
-    It is W_aa|f⁺ − f|, with the diagonal (n,) of W as r; infinite if x (n,) is not finite.
+    The residual is max W_aa|f⁺ − x| with r = W_aa, the `diagonal` (n,); infinite if x (n,) is not finite.
     """
     w, u, f, momentum, _, _ = now
     values, columns, counts = problem.values, problem.columns, problem.counts
@@ -322,25 +330,33 @@ def residual_of(problem, diagonal, x, now):
     for a in range(len(u)):
         u[a] += problem.free[a]
     impulses(u, x, problem.friction, problem.lower, problem.upper, diagonal, f)
-    missed = total = 0.0
+    worst = total = 0.0
     for a in range(len(u)):
         part = diagonal[a] * abs(f[a] - x[a])
-        missed = max(missed, part)
+        worst = max(worst, part)
         total += part
-    return missed if math.isfinite(total) else math.inf
+    return worst if math.isfinite(total) else math.inf
 
 
 @declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK, result=float)
 @external
 def solve_velocities(problem, part, accuracy, begin, w, x, course):
-    """Fill x (n,) with impulses that satisfy the law, and w (m,) with the change of velocities by them.
+    """Compute impulses that satisfy Coulomb's law, and the change of velocities by them.
 
-    Of several solutions that satisfy it nearly it is the limit of small compliances. `part` is the largest r,
-    relative to the largest of W (`tolerances.SOFTEST`), `accuracy` the part of u_free by which f⁺ − f may
-    change velocities at the end (`tolerances.SETTLED`). begin (m,) is an initial change of the velocities,
-    and takes that of the first iteration, the best start for a nearly equal problem. Course (2, …, n) takes
-    r and f⁺ of each iteration, as far as it has room. Returns the residual of the law, relative to u_free;
-    infinite if the iteration has diverged.
+    Of several solutions it is nearly the limit of small compliances.
+
+    Args:
+        problem: The `VelocityProblem`.
+        part: Largest r, relative to the largest diagonal entry of W; see `tolerances.SOFTEST`.
+        accuracy: Change of velocities by f⁺ − f at the end, relative to u_free; see `tolerances.SETTLED`.
+        begin: (m,) warm start: change of the velocities; overwritten with that of the first iteration, the
+            best start for a similar problem.
+        w: (m,) is overwritten with the change of velocities.
+        x: (n,) is overwritten with the impulses.
+        course: (2, k, n) is overwritten with r and f⁺ of the first k iterations.
+
+    Returns:
+        The residual of the law relative to u_free; infinite if the iteration has diverged.
     """
     free = problem.free
     n, m, size = len(free), len(w), 0.0

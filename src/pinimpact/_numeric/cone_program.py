@@ -2,8 +2,11 @@
 
     minimise ½ xᵀP x + cᵀx   with   s = h − G x in K,
 
-K being a number of half-lines, then cones s₀ ≥ |(s₁, …)|. The directions are those of Nesterov and Todd with
-Mehrotra's corrector. (L. Vandenberghe, The CVXOPT linear and quadratic cone program solvers, 2010)
+where K consists of half-lines, then of cones s₀ ≥ |(s₁, …)|. Search directions are those of Nesterov and Todd
+with Mehrotra's corrector. (L. Vandenberghe, The CVXOPT linear and quadratic cone program solvers, 2010)
+
+Arguments of several kernels: `lines` is the number of half-lines, `sizes` (k,) the dimensions of the cones;
+β, v and λ define the scaling W, see `scaling`.
 """
 
 from __future__ import annotations
@@ -19,19 +22,18 @@ from .loops import assign, ones
 from .tolerances import EXACT, NOISE, TINY
 
 CONE = np.int64(3)
-"""Size of the cones of friction."""
+"""Dimension of a friction cone."""
 
 MAX_ITERATIONS = 60
 """Largest number of iterations; only badly scaled programs reach it."""
 
-
 STEP = 0.99
-"""Step length relative to the distance to the boundary of the cone."""
+"""Step length relative to the longest step inside the cone."""
 
 
 @inlined
 def _beyond_first(x, y, start, size):
-    """Return xᵀy of a cone without its first entries."""
+    """Return xᵀy over the entries of a cone except its first one."""
     total = 0.0
     for i in range(start + 1, start + size):
         total += x[i] * y[i]
@@ -40,7 +42,7 @@ def _beyond_first(x, y, start, size):
 
 @inlined
 def scaling(lines, sizes, s, z, beta, v, lam):
-    """Fill the Nesterov–Todd scaling W at (s, z), and λ = W z; return False outside of the cone."""
+    """Fill the Nesterov–Todd scaling W at (s, z), as β and v, and λ = W z; return False outside the cone."""
     for i in range(lines):
         if not (s[i] > 0.0 and z[i] > 0.0):
             return False
@@ -109,7 +111,7 @@ def product(lines, sizes, x, y, out):
 
 @inlined
 def quotient(lines, sizes, lam, y, out):
-    """Fill out with the x for which λ ∘ x = y."""
+    """Fill out with the solution x of λ ∘ x = y."""
     for i in range(lines):
         out[i] = y[i] / lam[i]
     start = lines
@@ -127,7 +129,7 @@ def quotient(lines, sizes, lam, y, out):
 
 @inlined
 def longest_step(lines, sizes, lam, d):
-    """Return 1/α for the longest α with λ + α d in the cone, not less than zero; infinite for none."""
+    """Return 1/α, α the largest with λ + α d in the cone; 0 if it is unbounded, infinite if λ is outside."""
     worst = 0.0
     for i in range(lines):
         worst = max(worst, -d[i] / lam[i])
@@ -152,7 +154,7 @@ def longest_step(lines, sizes, lam, d):
 
 @inlined
 def cholesky(matrix):
-    """Replace a positive definite matrix by its factor; a pivot lost to rounding becomes a large one."""
+    """Replace a positive definite matrix by its Cholesky factor, with large pivots instead of lost ones."""
     n = len(matrix)
     whole, column = np.empty(n), np.empty(n)
     largest = TINY
@@ -162,7 +164,7 @@ def cholesky(matrix):
     for k in range(n):
         pivot = matrix[k, k]
         if not pivot > EXACT * n * whole[k]:
-            pivot = 1e64 * largest  # what does not matter stays where it is
+            pivot = 1e64 * largest  # lost to rounding: this makes the unknown zero
         root = math.sqrt(pivot)
         matrix[k, k] = root
         for i in range(k + 1, n):
@@ -176,7 +178,7 @@ def cholesky(matrix):
 
 @inlined
 def substitute(lower, x):
-    """Replace x by the solution of lower lowerᵀ y = x."""
+    """Replace x by the solution y of lower lowerᵀ y = x."""
     n = len(x)
     for i in range(n):
         for j in range(i):
@@ -190,7 +192,7 @@ def substitute(lower, x):
 
 @inlined
 def lift(lines, sizes, x, by):
-    """Add a multiple of the cone's axis to x."""
+    """Add `by` times the axis of the cone to x."""
     for i in range(lines):
         x[i] += by
     start = lines
@@ -201,7 +203,7 @@ def lift(lines, sizes, x, by):
 
 @inlined
 def outside(lines, sizes, x):
-    """Return how far x lies outside of the cone, along its axis; negative inside."""
+    """Return the distance of x from the cone along its axis; negative inside."""
     worst = -math.inf
     for i in range(lines):
         worst = max(worst, -x[i])
@@ -214,7 +216,7 @@ def outside(lines, sizes, x):
 
 @inlined
 def add_squares(rows, out):
-    """Add rowsᵀ rows, for rows (m, n) of which many numbers are zero, to the lower triangle of out (n, n)."""
+    """Add rowsᵀ rows to the lower triangle of out (n, n), for sparse rows (m, n)."""
     m, n = rows.shape
     places = np.empty(n, dtype=np.int64)
     for k in range(m):
@@ -242,8 +244,8 @@ def add_transposed(rows, x, out):
 
 @inlined
 def _residuals(P, c, G, h, x, s, z, rx, rz):
-    """Fill rx (n,) with P x + Gᵀz + c and rz (m,) with G x + s − h; return sᵀz and their largest."""
-    gap = missing = 0.0
+    """Fill rx (n,) with P x + Gᵀz + c, rz (m,) with G x + s − h; return sᵀz and the largest residual."""
+    gap = residual = 0.0
     for i in range(len(s)):
         gap += s[i] * z[i]
     for i in range(len(x)):
@@ -253,14 +255,14 @@ def _residuals(P, c, G, h, x, s, z, rx, rz):
         rx[i] = total
     add_transposed(G, z, rx)
     for i in range(len(x)):
-        missing = max(missing, abs(rx[i]))
+        residual = max(residual, abs(rx[i]))
     for i in range(len(s)):
         total = s[i] - h[i]
         for j in range(len(x)):
             total += G[i, j] * x[j]
         rz[i] = total
-        missing = max(missing, abs(total))
-    return gap, missing
+        residual = max(residual, abs(total))
+    return gap, residual
 
 
 @inlined
@@ -283,10 +285,10 @@ def _fill_system(P, G, lines, sizes, beta, v, scaled, lower):
 
 @inlined
 def _fill_directions(lines, sizes, scaling, system, residuals, gap, room, ds, dz, dx):
-    """Fill dx, and ds and dz in scaled axes, with Mehrotra's corrector; return 1/(the longest step).
+    """Fill the search direction dx (n,), and ds, dz (m,) in scaled axes; return 1/(longest step).
 
-    Given β, v and λ of `scaling`, the system W⁻¹G with the factor of `_fill_system`, the residuals rx and rz,
-    the gap sᵀz and room (3, m); ds and dz are (m,), dx (n,).
+    `scaling` is (β, v, λ), `system` the result of `_fill_system`, `residuals` is (rx, rz), gap = sᵀz, and
+    room (3, m) is a scratch array.
     """
     beta, v, lam = scaling
     scaled, lower = system
@@ -325,7 +327,7 @@ def _fill_directions(lines, sizes, scaling, system, residuals, gap, room, ds, dz
 
 @inlined
 def _add_scaled(lines, sizes, beta, v, step, direction, inverse, work, x):
-    """Add a step along a direction (m,) in scaled axes to x (m,); work (m,) is scratch."""
+    """Add a step along a direction (m,) in scaled axes to x (m,); work (m,) is a scratch array."""
     scale(lines, sizes, beta, v, direction, work, inverse)
     for i in range(len(x)):
         x[i] += step * work[i]
@@ -334,12 +336,11 @@ def _add_scaled(lines, sizes, beta, v, step, direction, inverse, work, x):
 @declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
 @external
 def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
-    """Fill x (n,), s = h − G x (m,) and multipliers z (m,), P x + Gᵀz + c = 0, starting from x = 0.
+    """Solve a cone program for x (n,), s = h − G x (m,) and multipliers z (m,), P x + Gᵀz + c = 0.
 
-    P (n, n) is positive semidefinite. The cone consists of a number of half-lines (`lines`) and second-order
-    cones of `sizes` (k,). The tolerance of the gap sᵀz, and of the equations as far as rounding allows, is
-    absolute: scale the problem to order one. Returns the larger of the gap and the residual of the equations;
-    above the tolerance if the iteration stopped.
+    P (n, n) is positive semidefinite. The tolerance of the gap sᵀz, and of the equations as far as rounding
+    allows, is absolute: scale the problem to order one. Returns the larger of the gap and the residual of the
+    equations, which is above the tolerance if the iteration has stopped early.
     """
     m, n = G.shape
     beta, v, lam = ones(len(sizes)), np.zeros(m), np.empty(m)
@@ -355,8 +356,8 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     best_x, best_s, best_z = np.empty(n), np.empty(m), np.empty(m)
     for _ in range(MAX_ITERATIONS):
         answer_signals()
-        gap, missing = _residuals(P, c, G, h, x, s, z, rx, rz)
-        accuracy = max(gap, missing) if missing > NOISE else gap
+        gap, residual = _residuals(P, c, G, h, x, s, z, rx, rz)
+        accuracy = max(gap, residual) if residual > NOISE else gap
         if accuracy < best:
             best = accuracy
             assign(best_x, x)

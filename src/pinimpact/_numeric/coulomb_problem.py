@@ -1,16 +1,17 @@
-"""Coulomb's law for contacts and bounded scalar rows: one problem, one solver. (theory.md, 11)
+"""Contact problems with Coulomb's law and bounded scalar rows, and their solver. (theory.md, 11)
 
     u = u_free + W f,
     contacts:     0 ≤ f_3 − l ⟂ u_3 ≥ 0,  |f_t| ≤ μ f_3,  f_t = −μ f_3 u_t/|u_t| where u_t ≠ 0,
     scalar rows:  lower ≤ f ≤ upper,  u = 0 between them, u ≥ 0 at lower, u ≤ 0 at upper.
 
-u are velocities and f impulses, or u accelerations and f forces. A contact that slides has its friction along
-the direction of its slip, whatever u_t. With De Saxcé's s = μ|u_t| this is a cone complementarity problem,
-f in K and u + s n in its dual cone; where a contact slides K is a half-line and s = μ σ·u_t.
+Either u are velocities and f impulses, or u accelerations and f forces. The friction of a sliding contact is
+opposite to its given direction of slip σ, for any u_t. With De Saxcé's s = μ|u_t| this is a cone
+complementarity problem: f in K and u + s n in the dual cone; for sliding contacts K is a half-line and
+s = μ σ·u_t.
 
 The alternating direction method of multipliers approaches a solution (J. Carpentier, Q. Le Lidec, L. Montaut,
-From compliant to rigid contact simulation, RSS 2024), and Newton's method on the open, sticking and sliding
-contacts then converges to rounding.
+From compliant to rigid contact simulation, RSS 2024); Newton's method on the active set then converges to
+rounding.
 """
 
 from __future__ import annotations
@@ -32,33 +33,32 @@ from .tolerances import COMPLIANCE, COMPUTED, EXACT, NEAR, ROUNDOFF, SMALL, TINY
 from .tolerances import USABLE as USABLE  # for those who solve
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
-"""Types: W, u_free, velocities of slip, friction, least normal forces, held, bounds, and the forces."""
+"""Types of W, u_free, slip velocities, friction, least normal forces, held, lower, upper bounds, forces."""
 
 ITERATIONS = 2000
 """Largest number of iterations of the method of multipliers."""
 
 PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
-"""Its first penalty (for rows with a diagonal of one), the factor of its changes, and the ratio of the
-residuals of f = y and of u from which on it changes."""
-
+"""Initial penalty ρ (rows are scaled to a diagonal of one), the factor by which it changes, and the ratio of
+the residuals of f = y and of u above which it changes."""
 
 LONG = 500
-"""Iterations after which it is tried at any residual."""
+"""Number of iterations after which Newton's method is tried at any residual, and not only below `NEAR`."""
 
 POLISH = 8
-"""Steps of Newton's method per trial."""
+"""Largest number of steps of Newton's method per trial."""
 
 SOFTER = 1e-2, 1e-3, 1e-4, 2.0 * SMALL
-"""Parts of the largest of W that compliances are, one after another, where small ones alone converge badly:
-at a hundredth it is clear which bounds forces reach."""
+"""Successive compliances, relative to the largest diagonal entry of W, where the smallest one does not
+converge from the given start: the largest one determines which forces are at their bounds."""
 
 AS_FORCES_SAY = np.int64(-1)
-"""Instead of a mode of a contact in `linearize`."""
+"""State of a contact in `linearize`: open or closed as its force and acceleration imply."""
 
 
 @inlined
 def into_cone(x, b, mu, least, directions, slides):
-    """Project the force at b, b + 1, b + 2 of x onto its cone, or half-line, from `least` on."""
+    """Project the force x[b : b + 3] onto its cone, or half-line if it slides, with x[b + 2] ≥ least."""
     k = b // 3
     if slides:
         s1, s2 = directions[k, 0], directions[k, 1]
@@ -75,7 +75,7 @@ def into_cone(x, b, mu, least, directions, slides):
 
 
 class Scaled(NamedTuple):
-    """The problem with a diagonal of one."""
+    """The problem scaled by `scale`."""
 
     w: FloatRows  # (3 nc + ns, 3 nc + ns) W
     rates: Floats  # (3 nc + ns,) u_free
@@ -111,7 +111,7 @@ def _scaled(delassus, free, velocity, mu, least, held, lower, upper, d, scale_a,
 
 @inlined
 def _fill_factor(w, penalty, factor):
-    """Fill the Cholesky factor for a penalty."""
+    """Fill the Cholesky factor of W + (ρ + ε) 1 for the penalty ρ."""
     for a in range(len(w)):
         for b in range(a + 1):
             factor[a, b] = w[a, b]
@@ -123,8 +123,8 @@ def _fill_factor(w, penalty, factor):
 def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
     """Take a step of the method of multipliers; return the residuals of f = y and of u.
 
-    f and those in the cones, y, and multipliers z are (3 nc + ns,), De Saxcé's shift s (nc,); for the factor
-    see `_fill_factor`.
+    Forces f, their projections y and multipliers z are (3 nc + ns,), De Saxcé's s, `shift`, is (nc,); all are
+    updated. `factor` is that of `_fill_factor`.
     """
     nc, mu, held, directions = len(shift), scaled.mu, scaled.held, scaled.directions
     apart = moved = 0.0
@@ -157,18 +157,26 @@ def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
 @declared(*SYSTEM, result=float)
 @external
 def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
-    """Fill x (3 nc + ns,) with forces that satisfy the law, starting from its values, or zero if better.
+    """Solve a contact problem for forces x, starting from the given x, or zero if its residual is smaller.
 
-    W has rows of nc contacts (t₁, t₂, n), then ns scalar ones; `free` is u without forces. Contacts with a
-    velocity (nc, 2) slide, with friction along it; others can stick. mu (nc,) are coefficients of friction,
-    least (nc,) l ≥ 0 least normal forces, held (nc,) contacts without bounds, lower and upper (ns,) bounds of
-    scalar forces, which may be infinite. Returns the residual of the law, relative to u_free; more than
-    `tolerances.USABLE` if no forces are found.
+    Args:
+        delassus: (m, m) W for nc contacts (t₁, t₂, n), then ns scalar rows; m = 3 nc + ns.
+        free: (m,) u_free.
+        velocity: (nc, 2) slip velocities of sliding contacts; zero for contacts that can stick.
+        mu: (nc,) coefficients of friction.
+        least: (nc,) least normal forces l ≥ 0.
+        held: (nc,) contacts whose forces have no bounds.
+        lower: (ns,) lower bounds of scalar forces, which may be infinite.
+        upper: (ns,) upper bounds.
+        x: (m,) initial forces; overwritten with the solution.
+
+    Returns:
+        The residual of the law relative to u_free; above `tolerances.USABLE` if no solution was found.
     """
     nc, size = len(mu), len(free)
     system = delassus, free, velocity, mu, least, held, lower, upper
     d, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    loads = np.empty(size)  # of the order of what is solved, also where nothing but `least` acts
+    loads = np.empty(size)  # magnitude of u, also where u_free is zero and only `least` acts
     for a in range(size):
         loads[a] = abs(free[a])
         for i in range(nc):
@@ -213,12 +221,12 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
 @declared(*SYSTEM, FLOATS)
 @external
 def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
-    """Fill x as `solve_coulomb` does; of several solutions with the limit of small compliances. (11.12)
+    """Solve as `solve_coulomb`; of several solutions compute the limit of small compliances. (11.12)
 
-    With W + ε C instead of W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's
-    method converges to the nearest solution. Where the first is not found, those of larger ε lead to it, from
-    one to the next. C is diagonal, `compliance` (nc,) for each contact's rows and 1 for scalar rows, up to a
-    factor; x should have the symmetry of the problem.
+    With W + ε C in place of W solutions are isolated. Those for two values of ε are extrapolated to ε = 0,
+    where Newton's method converges to the nearest solution. If the first one is not found, solutions for
+    decreasing larger ε lead to it. C is diagonal, up to a factor `compliance` (nc,) for the rows of contacts
+    and 1 for scalar rows. The initial x should have the symmetry of the problem.
     """
     size, unit = len(free), 0.0
     for a in range(3 * len(mu)):
@@ -242,7 +250,7 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
 
 @inlined
 def soften(delassus, unit, compliance, soft):
-    """Fill the diagonal of W + ε C."""
+    """Fill the diagonal of soft (m, m) with that of W + ε C, ε = `unit`."""
     for a in range(len(soft)):
         soft[a, a] = delassus[a, a] + unit * (compliance[a // 3] if a < 3 * len(compliance) else 1.0)
 
@@ -250,7 +258,10 @@ def soften(delassus, unit, compliance, soft):
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @external
 def residual(delassus, free, velocity, mu, least, held, lower, upper, x, accelerations, scale_a, scale_f):
-    """Return the residual of Coulomb's law, relative to the scales: complementarity row by row."""
+    """Return the largest residual of Coulomb's law over the rows, scaled by `scale`; infinite if not finite.
+
+    `accelerations` (m,) is overwritten with u = u_free + W x. Other arguments as in `solve_coulomb`.
+    """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
     apply(delassus, x, accelerations)
@@ -293,10 +304,18 @@ def residual(delassus, free, velocity, mu, least, held, lower, upper, x, acceler
 @declared(FLOAT_ROWS, FLOATS, int, FLOATS, FLOATS, FLOATS, result=float)
 @external
 def scale(delassus, free, contacts, d, scale_a, scale_f):
-    """Fill scales, contact by contact so that cones keep their shape; return their unit, zero if none.
+    """Fill scales, equal for the rows of a contact so that cones keep their shape; return the unit.
 
-    Of W (m, m), whose first rows are three for each contact, and accelerations without forces (m,). d (m,)
-    takes the factors that make the diagonal one, scale_a those of accelerations, scale_f units of forces.
+    Args:
+        delassus: (m, m) W, whose first rows are three per contact.
+        free: (m,) u_free.
+        contacts: Number of contacts.
+        d: (m,) is overwritten with the factors that make the diagonal of W at most one.
+        scale_a: (m,) is overwritten with the factors of accelerations.
+        scale_f: (m,) is overwritten with the units of forces.
+
+    Returns:
+        The unit max |d u_free|; if it is zero the last two are not filled.
     """
     size = len(free)
     largest = unit = 0.0
@@ -320,7 +339,10 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @external
 def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Refine forces x to rounding by Newton's method on their active set; return the residual."""
+    """Refine forces x to rounding by Newton's method on their active set; return the residual.
+
+    Other arguments as in `residual`; x is kept where a step does not reduce the residual.
+    """
     best = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
     if not 0.0 < best < math.inf:
         return best
@@ -352,10 +374,10 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
 def linearize(
     delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, closed, system, right
 ):
-    """Fill the equations of a step of Newton's method from forces x, whose accelerations are `a_now`.
+    """Fill the equations `system` · step = `right` of Newton's method at forces x with accelerations a_now.
 
-    `closed` has the contacts that are closed (1; those at rest stick) or open (0); −1 leaves that to the
-    forces.
+    They are scaled as in `residual`. `closed` (nc,) is 1 for closed contacts (which stick if at rest), 0 for
+    open ones, and `AS_FORCES_SAY` to decide by forces and accelerations.
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns

@@ -1,4 +1,4 @@
-"""Square linear systems, by elimination with complete pivoting."""
+"""Solution of square linear systems by elimination with complete pivoting."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from .tolerances import RANK as RANK  # for those who solve
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float)
 @external
 def solve(system, target, solution, rank):
-    """Solve by elimination with complete pivoting; return the sign of the determinant.
+    """Solve system (n, n) · solution = target (n,); return the sign of the determinant.
 
-    It is zero if a pivot is not above the part `rank` of the largest one.
+    If a pivot is at most `rank` times the largest one, the sign is zero and `solution` is not filled.
     """
     size = len(target)
     matrix = system.copy()
@@ -61,7 +61,7 @@ def solve(system, target, solution, rank):
 
 @inlined
 def largest_of(row, first):
-    """Return the largest magnitude in a row from a column on, of even and odd columns side by side."""
+    """Return the largest |row[b]| with b ≥ first; even and odd columns are independent, which is faster."""
     even = odd = 0.0
     for b in range(first, len(row) - 1, 2):
         x, y = abs(row[b]), abs(row[b + 1])

@@ -1,8 +1,8 @@
-"""The solution of least norm of a small dense system, square or not, regular or not.
+"""Least-squares solution of least norm of a small dense system of any shape and rank.
 
-A complete orthogonal decomposition A Π = Q [T 0; 0 0] Zᵀ by Householder reflections with column pivoting:
-remaining columns below a part of the first pivot are taken as zero, and x = Π Z [T⁻¹(Qᵀb); 0]. (G. Golub,
-C. Van Loan, Matrix Computations, 4th edition, section 5.4.7)
+It uses a complete orthogonal decomposition A Π = Q [T 0; 0 0] Zᵀ by Householder reflections with column
+pivoting, x = Π Z [T⁻¹(Qᵀb); 0]. Remaining columns are taken as zero if they are small relative to the largest
+pivot. (G. Golub, C. Van Loan, Matrix Computations, 4th edition, section 5.4.7)
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from .loops import assign
 
 @inlined
 def columns_times(r, k, first, column, out):
-    """Fill out[j], from a first j on, with the products of columns j and `column` of r from row k on.
+    """Fill out[j], j ≥ first, with the product of columns j and `column` of r over the rows from k on.
 
-    With `column` below zero, of each column and itself. Four at a time, so that the sums are independent.
+    A negative `column` means the product of column j with itself. Four independent sums at a time are faster.
     """
     m, n = r.shape
     j = first
@@ -50,9 +50,9 @@ def columns_times(r, k, first, column, out):
 def decompose(matrix, rights, rank_tolerance, order, factor):
     """Replace A (m, n) by its complete orthogonal decomposition, each b of `rights` (k, m) by Qᵀb.
 
-    A takes T above the diagonal of the rank, which is returned, and beside it the vectors of Z, with other
-    data in factor (min(m, n),); order (n,) takes the columns Π. Pivots below `rank_tolerance` of the largest
-    are zero.
+    A is overwritten with T, whose size is the rank, and to its right the reflection vectors of Z, whose
+    heads are in factor (min(m, n),); order (n,) is overwritten with the column order Π. Pivots up to
+    `rank_tolerance` times the largest are taken as zero. Returns the rank.
     """
     m, n = matrix.shape
     r = matrix
@@ -61,7 +61,7 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
     rank, largest, sums = 0, 0.0, np.empty(n)
     for k in range(min(m, n)):
         answer_signals()
-        # again at every step, for updated norms lose their digits just where the rank is decided
+        # recomputed at every step: updated norms would be inaccurate where the rank is decided
         longest, chosen = -1.0, k
         columns_times(r, k, k, -1, sums)
         for j in range(k, n):
@@ -76,7 +76,7 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
         order[k], order[chosen] = order[chosen], order[k]
         if r[k, k] > 0.0:
             pivot = -pivot
-        r[k, k] -= pivot  # the reflection's vector takes the column's place, up to the diagonal
+        r[k, k] -= pivot  # the column, from the diagonal on, is now the reflection vector
         scale = 1.0 / (pivot * r[k, k])
         columns_times(r, k, k + 1, k, sums)
         for j in range(k + 1, n):
@@ -94,8 +94,8 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
                 b[i] += total * r[i, k]
         r[k, k] = pivot
         rank += 1
-    # reflections from the right take rows [R₁₁ R₁₂] to [T 0], from the last row up; each acts on its own
-    # diagonal and the columns past the rank
+    # reflections from the right transform [R₁₁ R₁₂] to [T 0], from the last row up; each acts on one diagonal
+    # entry and the columns after the rank
     for k in range(rank - 1, -1, -1):
         length = r[k, k] * r[k, k]
         for j in range(rank, n):
@@ -118,7 +118,7 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
 
 @inlined
 def rotate_back(matrix, rank, order, factor, y, x):
-    """Fill x (n,) with Π Z y, for a decomposed matrix; y (n,) is overwritten."""
+    """Fill x (n,) with Π Z y, for the result of `decompose`; y (n,) is overwritten."""
     n = len(y)
     for k in range(rank):
         total = y[k] * factor[k]
@@ -135,7 +135,7 @@ def rotate_back(matrix, rank, order, factor, y, x):
 @declared(FLOAT_ROWS, FLOAT_ROWS, float, FLOAT_ROWS, FLOAT_ROWS)
 @external
 def least_norms(matrix, rights, rank_tolerance, found, null):
-    """Fill found (k, n) with solutions of least norm for right-hand sides (k, m), see `least_norm`."""
+    """Fill found (k, n) with solutions of least norm for right-hand sides (k, m); see `least_norm`."""
     m, n = matrix.shape
     r, sides, y = matrix.copy(), rights.copy(), np.zeros(n)
     order, factor = np.empty(n, dtype=np.int64), np.empty(min(m, n))
@@ -160,10 +160,10 @@ def least_norms(matrix, rights, rank_tolerance, found, null):
 @declared(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
 @external
 def least_norm(matrix, right, rank_tolerance, x, null):
-    """Fill x (n,) with the solution of least norm of A x = b, A (m, n), in the sense of least squares.
+    """Fill x (n,) with the least-squares solution of least norm of A x = b, A (m, n); return the rank of A.
 
-    Returns the rank: pivots below `rank_tolerance` of the largest are zero. null (k, n) takes, in its first n
-    − rank rows as far as it has them, an orthonormal basis of the null space of A.
+    Pivots up to `rank_tolerance` times the largest are taken as zero. The first n − rank rows of null (k, n),
+    as far as k allows, are overwritten with an orthonormal basis of the null space of A.
     """
     rights, found = np.empty((1, len(right))), np.empty((1, len(x)))
     assign(rights[0], right)

@@ -1,4 +1,4 @@
-"""Loops instead of NumPy's functions, which numba compiles in up to a second for each kind of array."""
+"""Loops that replace NumPy functions, whose compilation takes up to a second per type of array."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .._compile.jit import inlined
 
 @inlined
 def assign(to, values):
-    """Copy values (n,) into an array."""
+    """Copy values (n,) into the array `to` (n,)."""
     for i in range(len(to)):
         to[i] = values[i]
 
@@ -17,18 +17,18 @@ def assign(to, values):
 @inlined
 def power(x, k):
     """Return xᵏ for an integer k ≥ 0."""
-    found = 1.0
+    result = 1.0
     while k > 0:
         if k % 2 == 1:
-            found *= x
+            result *= x
         k //= 2
         x *= x
-    return found
+    return result
 
 
 @inlined
 def filled(array, value):
-    """Set all elements of an array (n,) to a value, and return it."""
+    """Set all elements of an array (n,) to a value, and return the array."""
     for i in range(len(array)):
         array[i] = value
     return array
@@ -36,33 +36,33 @@ def filled(array, value):
 
 @inlined
 def ones(n):
-    """Return (n,) ones."""
+    """Return an array (n,) of ones."""
     return filled(np.empty(n), 1.0)
 
 
 @inlined
 def repeated(n, value):
-    """Return (n,) times the same integer, one of NumPy's."""
+    """Return an array (n,) of int64 with one value."""
     return filled(np.empty(n, dtype=np.int64), value)
 
 
 @inlined
 def flags(n, value):
-    """Return (n,) times the same truth value."""
+    """Return a boolean array (n,) with one value."""
     return filled(np.empty(n, dtype=np.bool_), value)
 
 
 @inlined
 def nonzero(marks):
-    """Return the indices of nonzero elements of an array (n,) of integers."""
+    """Return the indices of the nonzero elements of an integer array (n,)."""
     total = 0
     for i in range(len(marks)):
         if marks[i] != 0:
             total += 1
-    found = np.empty(total, dtype=np.int64)
+    result = np.empty(total, dtype=np.int64)
     total = 0
     for i in range(len(marks)):
         if marks[i] != 0:
-            found[total] = i
+            result[total] = i
             total += 1
-    return found
+    return result

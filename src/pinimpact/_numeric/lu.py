@@ -1,4 +1,4 @@
-"""Square linear systems for several right-hand sides: factored once, with partial pivoting."""
+"""LU factorization with partial pivoting, for linear systems with several right-hand sides."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .._compile.jit import external
 @declared(FLOAT_ROWS, INTEGERS)
 @external
 def factorize(matrix, order):
-    """Replace a matrix by its factors L and U, fill the order of its rows; return whether it is regular."""
+    """Replace a matrix (n, n) by its LU factors, fill its row order (n,); return whether it is regular."""
     size = len(order)
     for k in range(size):
         row = k
@@ -32,7 +32,7 @@ def factorize(matrix, order):
 @declared(FLOAT_ROWS, INTEGERS, FLOATS)
 @external
 def substitute(factors, order, right):
-    """Replace a right-hand side by the solution of the system that was factored."""
+    """Replace a right-hand side (n,) by the solution, given the result of `factorize`."""
     size = len(order)
     for k in range(size):
         right[k], right[order[k]] = right[order[k]], right[k]

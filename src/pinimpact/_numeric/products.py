@@ -1,4 +1,4 @@
-"""Products of small matrices, in loops that numba compiles fast."""
+"""Products of small matrices and vectors, as loops that numba compiles fast."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def apply(matrix, x, out):
 
 @inlined
 def apply_symmetric(matrix, x, out):
-    """Fill out (n,) with a symmetric matrix (n, n) times x (n,), of which many may be zero."""
+    """Fill out (n,) with a symmetric matrix (n, n) times a sparse x (n,)."""
     n = len(out)
     for i in range(n):
         out[i] = 0.0
@@ -41,7 +41,7 @@ def apply_symmetric(matrix, x, out):
 
 @inlined
 def products(rows, others, out):
-    """Fill out (k, l) with the products of each of rows (k, n), many of them zero, and of others (l, n)."""
+    """Fill out (k, l) with rows · othersᵀ, for sparse rows (k, n) and others (l, n)."""
     m, n = others.shape
     places = np.empty(n, dtype=np.int64)
     for a in range(len(rows)):
@@ -50,7 +50,7 @@ def products(rows, others, out):
             if rows[a, j] != 0.0:
                 places[count] = j
                 count += 1
-        for b in range(0, m - 3, 4):  # four sums at a time, for none can wait for the one before
+        for b in range(0, m - 3, 4):  # four independent sums at a time, which is faster
             first = second = third = fourth = 0.0
             for k in range(count):
                 j = places[k]

@@ -1,4 +1,4 @@
-"""Matrices whose rows have zeros at their beginnings and ends, and systems with them."""
+"""Products and linear systems of matrices in profile form: zeros at the start and end of each row."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from .._compile.jit import external, inlined
 
 @inlined
 def apply_within(matrix, start, x, out):
-    """Fill out (m,) with a symmetric matrix times x, whose row a is zero before start[a]."""
+    """Fill out (m,) with matrix (m, m) times x (m,); the matrix is symmetric, row a zero before start[a]."""
     for a in range(len(out)):
         total = matrix[a, a] * x[a]
         for b in range(start[a], a):
@@ -18,9 +18,9 @@ def apply_within(matrix, start, x, out):
 
 @external
 def eliminate_profile(system, last, x):
-    """Replace x by the solution of a system, the matrix by its factors; return whether no pivot is zero.
+    """Replace x (m,) by the solution of a system, the matrix by its factors; return whether no pivot is zero.
 
-    Row a ends at last[a], as column a does. Rows are not exchanged, so the matrix should be nearly definite.
+    Row and column a are zero after last[a]. There is no pivoting, so the matrix should be nearly definite.
     """
     m = len(x)
     for k in range(m):

@@ -1,4 +1,4 @@
-"""Symmetric positive semidefinite matrices: rank and linear systems."""
+"""Rank of symmetric positive semidefinite matrices, and linear systems with them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .tolerances import RANK
 
 @inlined
 def factor(matrix, order, lower, least):
-    """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank.
+    """Fill lower (m, m), order (m,) with the pivoted Cholesky factor of matrix (m, m); return its rank.
 
-    A pivot is taken as zero up to a part `least` of the largest.
+    Pivots up to `least` times the largest are taken as zero.
     """
     size = len(matrix)
     rest = np.empty(size)
@@ -47,7 +47,7 @@ def factor(matrix, order, lower, least):
 
 @inlined
 def forward(lower, order, rank, right, y):
-    """Fill the first `rank` entries of y with L₁₁⁻¹ times those of `right` in the order of the pivots."""
+    """Fill the first `rank` entries of y with L₁₁⁻¹ times the entries of `right` in pivot order."""
     for k in range(rank):
         i = order[k]
         total = right[i]
@@ -59,9 +59,9 @@ def forward(lower, order, rank, right, y):
 @declared(FLOAT_ROWS, FLOATS, FLOATS)
 @external
 def solve_definite(matrix, target, solution):
-    """Solve a system with a positive semidefinite matrix; return whether it is definite, else none is found.
+    """Solve a system with a positive definite matrix (m, m); return False, without a solution, if singular.
 
-    In half the time of `elimination.solve`.
+    This takes half the time of `elimination.solve`.
     """
     size = len(target)
     lower, order, part = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty(size)

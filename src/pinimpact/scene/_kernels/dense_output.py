@@ -1,7 +1,7 @@
-"""The motion within a step, and bounds of its rates.
+"""Dense output of a step, and bounds of its rates.
 
-The unknowns are (ξ, v, w): chart coordinates, velocities, and works w that nothing depends on. `rates`
-(16, 2 nv + nw) holds their derivatives at the stages.
+The unknowns are (ξ, v, w): chart coordinates, velocities, and the four kinds of work w of (9.4). `rates`
+(16, 2 nv + 4) has their derivatives at the stages.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .workspace import DENSE_TERMS, SceneWorkspace
 
 
 def _basis():
-    """Return θ, θ(1 − θ), θ²(1 − θ), … (7, 7), see `interpolate`, in θ, θ², …."""
+    """Return the polynomials θ, θ(1 − θ), θ²(1 − θ), … of `interpolate` as rows (7, 7) in θ, θ², …."""
     basis, factor = np.zeros((DENSE_TERMS, DENSE_TERMS)), Polynomial([0.0, 1.0])
     for k in range(DENSE_TERMS):
         basis[k, : k + 1] = factor.coef[1:]
@@ -30,7 +30,10 @@ BASIS = _basis()
 @declared(FLOAT_VIEW, float, FLOATS)
 @jit
 def interpolate(coefficients, theta, out):
-    """Fill the increments at a fraction θ of the step: θ(F₀ + (1 − θ)(F₁ + θ(F₂ + (1 − θ)(F₃ + …))))."""
+    """Fill the increments (n,) at a fraction θ of the step: θ(F₀ + (1 − θ)(F₁ + θ(F₂ + (1 − θ)(F₃ + …)))).
+
+    The coefficients F₀, F₁, … are the rows of `coefficients` (7, n).
+    """
     for m in range(coefficients.shape[1]):
         value = 0.0
         for k in range(6, -1, -1):
@@ -41,7 +44,7 @@ def interpolate(coefficients, theta, out):
 @declared(FLOAT_ROWS, float, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
 def state(coefficients, theta, joints, q0, v0, q, v):
-    """Fill q and v at a fraction θ of the step."""
+    """Fill q (nq,) and v (nv,) at a fraction θ of the step that starts from q0 and v0."""
     n = len(v0)
     xi = np.empty(n)
     interpolate(coefficients[:, :n], theta, xi)
@@ -54,13 +57,13 @@ def state(coefficients, theta, joints, q0, v0, q, v):
 @declared(SceneWorkspace, float)
 @external
 def set_state_within(work, fraction):
-    """Set the state at a fraction of the step last completed, where Pinocchio reads it."""
+    """Set the state at a fraction of the last completed step in the workspace."""
     state(work.dense_coefficients, fraction, work.joint_charts, work.q0, work.v0, work.q, work.v)
 
 
 @inlined
 def rate_bounds(rates, stages, n, out):
-    """Fill the largest |ξ̇| and |v̇| (4, n) of the first stages, then their largest change from the first."""
+    """Fill out (4, n): largest |ξ̇|, |v̇| of the first `stages`, then their largest changes from the first."""
     for m in range(n):
         for part in range(2):
             first = rates[0, part * n + m]

@@ -1,7 +1,7 @@
-"""Drives: joints that a linear law draws to a reference, up to an effort that they cannot exceed.
+"""Drives: linear position and damping laws of joints, with effort limits.
 
-Over a step a drive either follows its law or stays at its bound, so that the motion is smooth; that it
-reaches or leaves the bound is an event.
+Within a step a drive either follows its law or stays at its limit, so that the motion is smooth; reaching or
+leaving the limit is an event.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from .workspace import SceneWorkspace
 
 @inlined
 def law(work, q, v, j):
-    """Return what the law of a drive asks for at a state [N or N m]."""
-    off = work.drive_reference[j] - q[work.drive_coordinate[j]]
-    return work.drive_stiffness[j] * off - work.drive_damping[j] * v[j]
+    """Return the effort of the law of drive j at a state, without limit [N or N m]."""
+    error = work.drive_reference[j] - q[work.drive_coordinate[j]]
+    return work.drive_stiffness[j] * error - work.drive_damping[j] * v[j]
 
 
 @inlined
 def drive(work):
-    """Set the forces of the drives at the state that is set."""
+    """Set the efforts of the drives at the state set in the workspace."""
     for j in work.drive_velocity:
         side = work.drive_side[j]
         work.control_force[j] = law(work, work.q, work.v, j) if side == 0 else side * work.drive_limit[j]
@@ -30,7 +30,7 @@ def drive(work):
 @declared(SceneWorkspace, FLOATS, FLOATS)
 @jit
 def set_saturation(work, q, v):
-    """Tell which drives are at their bounds, at a state to which the velocity may have jumped."""
+    """Update which drives are at their effort limits, at a state after a possible jump of v."""
     for j in work.drive_velocity:
         asked = law(work, q, v, j)
         side, limit = work.drive_side[j], work.drive_limit[j]

@@ -1,8 +1,9 @@
-"""Where a function of time first falls below zero within the step last completed, found between samples too.
+"""Location of the first time within the last completed step at which a function falls below zero.
 
-The function is a kernel `value(work, i, t)` that returns its value and its rate at the state that is set, at
-time t; the rate may be zero where only `root` is called. The searches are made for it, since numba keeps no
-code in its cache that is handed a function.
+The function is a kernel `value(work, i, t)` that returns its value and rate at the state set in the
+workspace, at time t. The rate may be zero for functions that are only sampled (`search_for_fall`,
+`search_for_root`). Searches are generated for each function, since numba does not cache kernels with function
+arguments.
 """
 
 from __future__ import annotations
@@ -18,27 +19,28 @@ from .gap_bounds import clear, curvatures
 from .slip import set_directions_within
 
 PARTS = 8
-"""Parts of a step at which a function without a bound is sampled."""
+"""Number of intervals into which a step is divided to sample a function without a bound of its rate."""
 
 DEPTH = 10
-"""How often they are halved."""
+"""Largest number of halvings of these intervals."""
 
 LOWEST = 10.0
-"""How far below zero values count, over the largest above it: past a jump, to where there are none for one,
-they show no curvature before it."""
+"""Negative values are cut off at this multiple of the largest positive one: beyond a jump, for example to
+−inf, they would show no curvature of the function before it."""
 
 SHORTEST = 1.5 * 0.5**DEPTH
+"""Shortest interval, relative to the initial ones, that is halved."""
 
 BULGE = 1.5 / 8.0
-"""How far a function can fall below its chord, over the second difference of its samples: half as far again
-as a parabola."""
+"""Largest fall below the chord between samples, relative to their second difference: 1.5 times that of a
+parabola."""
 
 FADING = 1.0 / 16.0
-"""Part that is left of it in each half, at the least: four times less curvature than in the whole."""
+"""Least ratio of the fall in a half to that in the whole interval: a quarter of the curvature is assumed."""
 
 
 def sampled(value):
-    """Return the kernel value_at(work, i, t): a function and its rate at a time within the step."""
+    """Return the kernel value_at(work, i, t), the function and its rate at a time within the step."""
 
     @inlined
     def value_at(work, i, t):
@@ -51,13 +53,13 @@ def sampled(value):
 
 
 def search_for_touch(value_at):
-    """Return the kernel that finds where a gap that falls is zero."""
+    """Return the kernel that locates the zero of a falling gap."""
 
     @inlined
     def touch(work, i, base, low, high, found, slope):
-        """Return where a gap, counted from a base, is zero between two times; at the end it is below.
+        """Return the time in (low, high) at which gap − base is zero; at `high` it is negative.
 
-        By Newton's method from the end, with the gap and its rate there, kept within the bracket.
+        Newton's method with bracketing starts at `high`, where the value is `found` and its rate `slope`.
         """
         t = high
         for _ in range(60):
@@ -81,24 +83,24 @@ def search_for_touch(value_at):
 
 
 def search_for_closing(value):
-    """Return the kernel that finds where a gap closes, whose value and rate are given."""
+    """Return the kernel that locates the closing of a gap, given its value and rate."""
     value_at = sampled(value)
     root = search_for_touch(value_at)
 
     @inlined
     def first_closing(work, i, end, gap, rate, end_gap, end_rate, bounds):
-        """Return the first time until `end` at which a gap closes; infinite where it does not.
+        """Return the first time until `end` at which a gap closes; infinity if it does not. (10.4)
 
-        Between two times the gap stays above both parabolas that its values, its rates and the curvature
-        allow there: at most its bound, and within its variation of the mean that the two rates give. Where
-        those leave room for a dip the interval is halved, so a dip within one step is found however short.
+        Between two times the gap stays above the parabolas (10.4) from both. If these allow it to close, the
+        interval is halved, so that even the shortest dip below zero is found.
 
         Args:
-            i: Which gap.
-            end: The time up to which to look.
-            gap, rate: The gap and its rate at the start of the step; a gap below zero is where all gaps of
-                the step are counted from, for a correction of others may have left it there.
-            end_gap, end_rate: The same at its end.
+            work: The workspace.
+            i: Index of the gap.
+            end: End of the search [s].
+            gap, rate: Gap and gap rate at the start of the step. If the gap is negative there, for example by
+                the correction of other gaps, all gaps of the step are taken relative to it.
+            end_gap, end_rate: Gap and gap rate at the end of the step.
             bounds: (4,) see `gap_bounds.curvatures`.
         """
         start, h = work.step_start, work.step_length
@@ -142,17 +144,15 @@ def search_for_closing(value):
 
 
 def search_for_fall(value):
-    """Return the kernel that finds where a function first falls below zero."""
+    """Return the kernel that locates the first fall of a function below zero."""
     value_at, root = sampled(value), search_for_root(value)
 
     @inlined
     def first_fall(work, i, end, floor):
-        """Return the first time until `end` at which a function falls below −floor; infinite if it does not.
+        """Return the first time until `end` at which a function falls below −floor; infinity if it does not.
 
-        The function is sampled, and where its curvature leaves room for a dip between two samples it is
-        sampled again, down to 2⁻¹⁰ of the step's parts: what may lie between is less than the floor, if the
-        curvature is what the samples nearby show. A function that starts from zero and falls has fallen
-        at the start.
+        Where the curvature that the samples show allows a fall between two of them the interval is halved, up
+        to `DEPTH` times. A function that starts from zero and falls does so at the start.
         """
         start = work.step_start
         width = (end - start) / PARTS
@@ -190,7 +190,7 @@ def search_for_fall(value):
                     depth += 1
                     later[depth] = middle
                     later_value[depth] = max(value_at(work, i, middle)[0], lowest)
-                    # the curvature that is seen here, which may be less than elsewhere in the step
+                    # the curvature here may be smaller than elsewhere in the step
                     bend = abs(value_now - 2.0 * later_value[depth] + value_then)
                     bulges[depth] = bulges[depth - 1] = max(BULGE * bend, FADING * bulge)
                     continue
@@ -202,14 +202,14 @@ def search_for_fall(value):
 
 
 def search_for_root(value):
-    """Return the kernel that finds where a function changes sign."""
+    """Return the kernel that locates a change of sign of a function."""
     value_at = sampled(value)
 
     @inlined
     def root(work, i, a, b, fa, fb):
-        """Return where a function changes sign between a and b, to rounding and not before.
+        """Return the time, to rounding and not before, at which a function changes sign between a and b.
 
-        By Ridders' method, from its values fa and fb there.
+        Ridders' method is used; fa and fb are the values at a and b.
         """
         for _ in range(100):
             middle = a + 0.5 * (b - a)

@@ -1,4 +1,4 @@
-"""Pairs of boxes in time steps: their patches, as contacts of single points."""
+"""Contact patches of pairs of boxes in time steps, as contacts at their corners. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -29,22 +29,23 @@ from .dynamics import compute_kinematics, set_state
 from .workspace import SceneWorkspace
 
 HALF, REACH, BOX = 12, 15, 16
-"""Where half the edges of a box stand, after its placement in the axes of its joint; then its reach."""
+"""Columns of a box after its placement (12) in joint axes: three half edges, then its radius about the centre
+[m]; number of columns."""
 
 
 @declared(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, int, FLOAT_ROWS, float, float)
 @jit
 def fill_contact(row, tip, base, normal, point, other, kind, edges, radius, size):
-    """Fill the constants of a contact from where its points are now.
+    """Fill the constants of a contact from its present points in world axes.
 
     Args:
-        row: (constants,) to be filled.
+        row: (constants,) is overwritten.
         tip, base: (12,) placements of the two joints.
-        normal: (3,) from the second shape to the first.
-        point, other: (3,) of their surfaces [m].
-        kind: Code of what meets there, see `box_patch`.
+        normal: (3,) unit normal from the second shape to the first.
+        point, other: (3,) contact points on the first and second shape [m].
+        kind: Code of the features in contact, see `box_patch`.
         edges: (2, 3) directions of edges in contact.
-        radius, size: Radii about the cores of the two shapes [m].
+        radius, size: Radii around the cores of the two shapes [m].
     """
     filled(row, 0.0)
     r = row[layout.RADIUS] = 0.0 if kind == layout.TIP_PLANE else radius
@@ -79,13 +80,13 @@ def fill_contact(row, tip, base, normal, point, other, kind, edges, radius, size
 
 @inlined
 def put(row, k, vector):
-    """Put a vector into a row, from the k-th number on."""
+    """Copy a vector (3,) to row[k : k + 3]."""
     row[k], row[k + 1], row[k + 2] = vector
 
 
 @inlined
 def place_boxes(work, joints, boxes, placed, speeds):
-    """Fill placements (k, 12) of boxes at the kinematics last computed, and the largest speeds of points."""
+    """Fill the placements (k, 12) of boxes and bounds of the speeds (k,) of their points [m/s]."""
     for k in range(len(boxes)):
         pose, motion, box = work.placements[joints[k]], work.local_velocities[joints[k]], boxes[k]
         for axis in range(3):
@@ -98,14 +99,14 @@ def place_boxes(work, joints, boxes, placed, speeds):
 
 
 class FacingBoxes(NamedTuple):
-    """Where pairs of boxes face each other; see `box_patch`.
+    """Patches of pairs of boxes, see `box_patch`.
 
     Attributes:
-        used: (p,) how many contacts stand for corners.
+        used: (p,) number of contacts in use as corners.
         normals: (p, 3) from the second box to the first.
-        points, others: (p, `MOST`, 3) the corners on the first box, and on the second.
-        kinds: (p, `MOST`) codes of what meets there.
-        edges: (p, 2, 3) edges that meet.
+        points, others: (p, `MOST`, 3) corners on the first and on the second box [m].
+        kinds: (p, `MOST`) codes of the features in contact.
+        edges: (p, 2, 3) directions of the edges in contact.
     """
 
     used: Integers
@@ -122,21 +123,21 @@ class FacingBoxes(NamedTuple):
 )
 @jit
 def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, idle, facing):
-    """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
+    """Fill the contacts reserved for pairs of boxes with the corners of their patches.
 
     Args:
         work: The workspace; its `contact_constants` are filled.
         q, v: The state.
-        h: Time within which boxes may meet [s].
-        near: Distance within which boxes face each other at any speed [m].
-        touching: The same instead; below zero it follows from the time and `near` [m].
-        joints: (k,) that carry the boxes.
+        h: Time within which boxes may come into contact [s].
+        near: Distance up to which boxes have a patch at any speed [m].
+        touching: If not negative, distance up to which boxes have a patch, instead of h and `near` [m].
+        joints: (k,) joints that carry the boxes.
         boxes: (k, `BOX`) see `HALF`.
-        pairs: (p, 4) the two boxes, the first contact that is kept for them, and how many are.
-        blanks: (contacts, constants) what stands where nothing is near.
-        rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
-        idle: (contacts,) takes which contacts stand for no corner.
-        facing: The `FacingBoxes`, which is filled.
+        pairs: (p, 4) the two boxes, the first contact reserved for them, and the number of these.
+        blanks: (contacts, constants) constants of unused contacts.
+        rests: (nj,) joints at rest, including the world; pairs of these keep their patches.
+        idle: (contacts,) is overwritten with whether each contact is unused.
+        facing: The `FacingBoxes`, which is updated.
     """
     used, normals, points, others, kinds, edges = facing
     set_state(work, q, v)

@@ -1,4 +1,4 @@
-"""Which trees of joints have come to rest in a time step, with all that touches them. (theory.md, 16)"""
+"""Islands that have come to rest in a time step. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from .tolerances import STEPS_LEFT
 def trees_at_rest(
     v, v_end, moved, pushed, metres, still, tree, columns, counts, contacts, active, surface, island
 ):
-    """Fill the island of each tree that has come to rest, −1 for the others; return how many have.
+    """Fill the island of each tree that has come to rest, −1 for other trees; return how many have.
 
-    An island rests where none of its velocities exceeds what counts as none, at the start of the step and at
-    its end, and impulses take away all of its change: the next step is the same, and so are its impulses.
+    An island is at rest if its velocities are zero, within tolerances, at the start and end of the step and
+    the impulses cancel their change: the next step would then have the same impulses.
 
     Args:
         v, v_end: (nv,) velocities at the start and at the end of the step.
-        moved: (nv,) displacement by which overlap was taken away, over the length of the step.
+        moved: (nv,) displacement that removed overlap, divided by the length of the step.
         pushed: (nv,) change of the velocity by the impulses of the step.
-        metres: (nv,) per unit of each velocity, see `joint_metres`.
-        still: What counts as none [m/s].
+        metres: (nv,) κ of (10.6).
+        still: Speed that is taken as zero [m/s].
         tree: (nv,) number of the tree that each velocity belongs to.
-        columns, counts: Of the rows of the step, see `midpoint_step`.
-        contacts: How many contacts come first, held ones not among them.
-        active: (items,) which contacts and scalar rows take part.
-        surface: (contacts, …) velocities of the surfaces, held contacts' last [m/s].
-        island: (trees,) to be filled.
+        columns, counts: Those of the `StepRows`.
+        contacts: Number of contacts without held ones.
+        active: (items,) contacts and scalar rows that take part.
+        surface: (contacts + held, 3) velocities of the surfaces [m/s].
+        island: (trees,) is overwritten with the islands.
     """
     label, first = np.empty(len(island), dtype=np.int64), np.empty(len(active), dtype=np.int64)
     label_trees(columns, counts, contacts, active, tree, label, first)

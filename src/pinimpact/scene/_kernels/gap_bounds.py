@@ -1,4 +1,4 @@
-"""Tests that a gap stays open over a step, from its ends and a bound of its curvature."""
+"""Tests that a gap stays open over a step, from its ends and bounds of its curvature. (theory.md, 10, 15)"""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from ..._compile.jit import inlined
 
 @inlined
 def curvatures(gap, rate, later_gap, later_rate, width, bounds):
-    """Return the largest downward curvature of a gap between two times, and the largest in either direction.
+    """Return bounds of the downward curvature −g̈ and of |g̈| of a gap between two times. (10.3), (10.5)
 
-    With y the tip's centre seen from the surface's carrier and ρ = gap + the radius below, the gap's second
-    derivative is n·ÿ, plus at most |ẏ|²/ρ and at least nothing where the surface bends away from the tip. So
-    the downward curvature needs no bound of ρ. The other one is infinite where the tip might come to the
-    centre of curvature.
+    With y the centre of the tip relative to the surface's carrier and ρ the sum of the gap and the radius
+    below, g̈ = n·ÿ + b, 0 ≤ b ≤ |ẏ|²/ρ. The downward curvature therefore needs no bound of ρ; the bound of |g̈|
+    is infinite if the tip might reach the centre of curvature.
 
     Args:
-        gap, rate, later_gap, later_rate: The gap and its rate at both times.
-        width: The time between.
-        bounds: (4,) the largest |ÿ|, how much ÿ varies, the largest |ẏ|; and the least radius of curvature of
-            the surface the tip's radius off the true one, infinite for a flat one.
+        gap, rate, later_gap, later_rate: Gap and gap rate at both times.
+        width: Time between [s].
+        bounds: (4,) largest |ÿ|, largest change of ÿ, largest |ẏ|, and the least radius of curvature of the
+            surface plus the radius of the tip, infinite for a plane.
     """
     size, change, speed, radius = bounds[0], bounds[1], bounds[2], bounds[3]
     mean = (later_rate - rate) / width
@@ -30,7 +29,7 @@ def curvatures(gap, rate, later_gap, later_rate, width, bounds):
         if least > 0.0:
             bend = speed / least
             most += bend * speed
-            # of n·ÿ, as n turns, and of |ẏ_t|²/ρ: |d/dt| ≤ 2 |ẏ||ÿ|/ρ + 3 |ẏ_t|²|ẏ_n|/ρ²
+            # change of n·ÿ as n turns, and of |ẏ_t|²/ρ: |d/dt| ≤ 2 |ẏ||ÿ|/ρ + 3 |ẏ_t|²|ẏ_n|/ρ²
             change += width * bend * (3.0 * size + 1.2 * bend * speed)
         else:
             most = change = math.inf
@@ -39,10 +38,10 @@ def curvatures(gap, rate, later_gap, later_rate, width, bounds):
 
 @inlined
 def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
-    """Whether the gap provably stays above −floor.
+    """Return whether a gap provably stays above −floor between two times, `width` [s] apart. (10.4)
 
-    From the left it is at least P(s) = g + ġ s − B s²/2, from the right alike, and the larger of the two
-    counts; they meet at one point m, and each is concave, so the ends and m decide.
+    Both lower bounds g + ġ s − B s²/2, B = `curvature`, from the left and right, are concave and meet at one
+    point m, so the larger one is least at an end or at m.
     """
     if later_gap < -floor or gap < -floor:
         return False
@@ -59,23 +58,22 @@ def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
 
 @inlined
 def rim_clear(now, later, radius, curvature, width, floor):
-    """Whether the gap of a rim provably stays above −floor, however fast its lowest point goes round it.
+    """Return whether the gap of a rim provably stays above −floor between two times. (15.4)
 
-    The gap is y − ρ|w|, with the height y of its centre and w = u × n, and these bend little:
-    y(s) ≥ y + ẏ s − B s²/2 and |w(s)| ≤ |w + ẇ s| + C s²/2. So it is at least
+    From the left the gap y − ρ|w| is at least
 
-        P(s) = y + ẏ s − ρ|w + ẇ s| − (B + ρ C) s²/2
+        P(s) = y + ẏ s − ρ|w + ẇ s| − (B + ρ C) s²/2,
 
-    from the left, from the right alike, and the larger of the two counts. Both are concave, so that both
-    being above at one m in between is enough; the m tried are where tangents and curvature make them meet,
-    and the middle.
+    and likewise from the right. Both bounds are concave, so it is enough that both are above −floor at one
+    common time m. Two values of m are tried: the point where parabolas with the same ends meet, and the
+    middle.
 
     Args:
-        now, later: (8,) y, ẏ, w and ẇ at both ends, see `contact_motion.rim_and_rates`.
+        now, later: (8,) y, ẏ, w and ẇ at both times, see `contact_motion.rim_and_rates`.
         radius: ρ [m].
         curvature: B + ρ C [m/s²].
-        width: The time between the ends [s].
-        floor: Of gaps [m].
+        width: Time between [s].
+        floor: Tolerance of gaps [m].
     """
     gap, rate = rim_gap(now, radius)
     later_gap, later_rate = rim_gap(later, radius)
@@ -99,7 +97,7 @@ def rim_clear(now, later, radius, curvature, width, floor):
 
 @inlined
 def rim_gap(at, radius):
-    """Return gap and gap rate of a rim; where it lies flat, the rate at which its lowest point falls."""
+    """Return gap [m] and gap rate [m/s] of a rim; if it lies flat, the rate just after."""
     w1, w2, w3, d1, d2, d3 = at[2], at[3], at[4], at[5], at[6], at[7]
     size = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
     along = w1 * d1 + w2 * d2 + w3 * d3
@@ -109,7 +107,7 @@ def rim_gap(at, radius):
 
 @inlined
 def _rim_ahead(at, radius, curvature, s):
-    """Return P(s) of `rim_clear`, to either side."""
+    """Return P(s) of `rim_clear`; s < 0 is to the left."""
     w1, w2, w3 = at[2] + at[5] * s, at[3] + at[6] * s, at[4] + at[7] * s
     size = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
     return at[0] + at[1] * s - radius * size - 0.5 * curvature * s * s

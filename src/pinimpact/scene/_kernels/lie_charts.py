@@ -1,8 +1,8 @@
-"""Local charts of a configuration space: q = q₀ ⊕ ξ, and ξ̇ for a given v.
+"""Local charts of a configuration space, q = q₀ ⊕ ξ, and their rates ξ̇. (9.1)
 
-A table (k, 4) of integers describes the space, one row a joint: kind, first index in q, first index in v and
-number of velocities. Rotations use the exponential map about q₀, body translations are kept in the axes of
-q₀: R = R₀ exp(φ), p = p₀ + R₀ ρ.
+The space is described by a table (k, 4) of integers with one row per joint: kind, first index in q, first
+index in v, number of velocities. Rotations use the exponential map about q₀, translations of floating bodies
+the axes of q₀: R = R₀ exp(φ), p = p₀ + R₀ ρ.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from ..._compile.jit import inlined, jit
 from .tolerances import TURN
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
-"""Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""
+"""Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position and quaternion."""
 
 ASTRAY = 1e50
-"""Coordinates and velocities beyond this come from a step that is too long; squares of them overflow soon."""
+"""Bound on coordinates and velocities: larger ones come from too long a step, and squares may overflow."""
 
 
 @inlined
 def half_turn(angle):
-    """Return sin(θ/2)/θ, cos(θ/2) and (1 − (θ/2) cot(θ/2))/θ²."""
+    """Return sin(θ/2)/θ, cos(θ/2) and (1 − (θ/2) cot(θ/2))/θ² for an angle θ [rad]."""
     h = 0.5 * angle
     if angle < TURN:
         s = h * h
@@ -86,7 +86,7 @@ def advance(joints, q0, xi, q):
 @declared(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
 @jit
 def chart_rate(joints, xi, v, rate):
-    """Fill ξ̇ for the velocity v at ξ; valid while no rotation of the chart reaches a full turn."""
+    """Fill rate = ξ̇ for the velocity v at ξ; valid while no rotation of the chart reaches 2π. (9.1)"""
     for k in range(joints.shape[0]):
         kind, j, n = joints[k, 0], joints[k, 2], joints[k, 3]
         if kind in (VECTOR, CIRCLE):
@@ -115,7 +115,7 @@ def chart_rate(joints, xi, v, rate):
 @declared(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
 @jit
 def turn_axes(joints, turn, v, out):
-    """Fill a velocity with that of free bodies in axes that have turned by exp(φ), φ in `turn`, meanwhile."""
+    """Fill out (nv,) with v in axes of free bodies that have turned by exp(φ), φ from `turn` (nv,)."""
     for m in range(len(v)):
         out[m] = v[m]
     for k in range(joints.shape[0]):
@@ -132,15 +132,15 @@ def turn_axes(joints, turn, v, out):
 @declared(INTEGER_ROWS, float, float, FLOATS, FLOATS, FLOATS)
 @jit
 def velocity_within(joints, h, part, start, v_end, out):
-    """Fill the velocity after a part of a time step: linear in time, of free bodies in axes that stand still.
+    """Fill the velocity within a time step: linear in time, for free bodies in fixed axes. (theory.md, 16)
 
     Args:
-        joints: The table.
+        joints: Table of the configuration space.
         h: Length of the step [s].
-        part: The part.
+        part: Fraction of the step.
         start: (nv,) velocity at the start.
         v_end: (nv,) velocity at the end, in the axes of the midpoint.
-        out: (nv,) takes the velocity, in its axes.
+        out: (nv,) is overwritten with the velocity, in the axes of that time.
     """
     turn, last = np.empty((2, len(start)))
     for m in range(len(start)):
@@ -154,7 +154,7 @@ def velocity_within(joints, h, part, start, v_end, out):
 
 @inlined
 def add_turning(joints, v, factor, out):
-    """Add a multiple of ω × v of free bodies: their acceleration in axes that stand still, less v̇."""
+    """Add `factor` times ω × v of free bodies to out (nv,): acceleration in fixed axes minus v̇."""
     for k in range(joints.shape[0]):
         kind, j = joints[k, 0], joints[k, 2]
         if kind == PLANAR:
@@ -169,17 +169,17 @@ def add_turning(joints, v, factor, out):
 
 @inlined
 def gone_astray(xi, v):
-    """Whether chart coordinates and velocity are none that a robot can have: not finite, or nearly so."""
-    astray = False
+    """Return whether chart coordinates or velocities exceed `ASTRAY` or are not finite."""
+    exceeded = False
     for m in range(len(v)):
-        astray |= not (abs(xi[m]) < ASTRAY and abs(v[m]) < ASTRAY)
-    return astray
+        exceeded |= not (abs(xi[m]) < ASTRAY and abs(v[m]) < ASTRAY)
+    return exceeded
 
 
 @declared(INTEGER_ROWS, FLOATS)
 @jit
 def turned_too_far(joints, xi):
-    """Whether some rotation of the chart exceeds 3 rad, so that the chart must be moved first."""
+    """Return whether a rotation of the chart reaches 3 rad, so that the step is too long for the chart."""
     for k in range(joints.shape[0]):
         if joints[k, 0] >= ROTATION:
             j = joints[k, 2] + joints[k, 3] - 3
@@ -191,7 +191,7 @@ def turned_too_far(joints, xi):
 @declared(INTEGER_ROWS, FLOATS, FLOATS)
 @jit
 def magnitudes(joints, q, out):
-    """Fill the size that a relative tolerance refers to: |q| of a plain coordinate, 1 for a rotation."""
+    """Fill out (nv,) with magnitudes for relative tolerances: |q| of plain coordinates, 1 of rotations."""
     for k in range(joints.shape[0]):
         kind, i, j, n = joints[k, 0], joints[k, 1], joints[k, 2], joints[k, 3]
         for m in range(n):

@@ -1,4 +1,4 @@
-"""A time step: its rows at the midpoint, what collides in it, and the contact problem. (theory.md, 16)"""
+"""A time step: rows at the midpoint, arriving contacts, and the contact problem. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -36,17 +36,18 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, FLOATS, FLOATS, float, float, FLAGS, FLAGS, bool, INTEGERS, result=int)
 @jit
 def near_rows(work, q, v, h, slack, idle, rests, placed, near):
-    """Fill which contacts, and limits past those, may close within a step; return how many.
+    """Fill the numbers of the contacts and limits that may close within a step; return their number.
 
     Args:
+        work: The workspace.
         q: (nq,) configuration at the midpoint.
         v: (nv,) velocity.
         h: Length of the step [s].
-        slack: What gaps may close by beside their rates [m].
-        idle: (n,) contacts that are kept for shapes which are apart.
-        rests: (nj,) joints that are at rest, the world among them.
-        placed: Whether kinematics are those of this state already.
-        near: (n + nl,) takes the numbers, without held contacts.
+        slack: Closing of gaps in addition to their rates [m].
+        idle: (n,) contacts reserved for shapes that are apart.
+        rests: (nj,) joints that are at rest, including the world.
+        placed: Whether the kinematics are already those of this state.
+        near: (n + nl,) is overwritten with the numbers: contacts other than held ones, then n + limit.
     """
     if not placed:
         set_state(work, q, v)
@@ -77,11 +78,12 @@ def fill_rows(work, v, rows, u, acceleration, turning):
     """Fill the rows of a step at the state last evaluated.
 
     Args:
+        work: The workspace.
         v: (nv,) velocity.
-        rows: The `StepRows`; what stands after its numbers is filled.
-        u: (rows,) takes their velocities at v.
-        acceleration: (nc + nh, 3) takes accelerations of contacts without contact forces [m/s²].
-        turning: (nc + nh, 3) takes what is added to these in axes that stand still [m/s²].
+        rows: The `StepRows`, with the numbers of its rows; the other fields are filled.
+        u: (rows,) is overwritten with the row velocities at v [m/s].
+        acceleration: (nc + nh, 3) is overwritten with contact accelerations without contact forces [m/s²].
+        turning: (nc + nh, 3) is overwritten with their additional terms in fixed axes [m/s²].
     """
     contacts, held, limits, dry, values, columns, counts, surface, gap = rows
     every, width = len(contacts) + len(held), values.shape[1]
@@ -114,17 +116,19 @@ def fill_rows(work, v, rows, u, acceleration, turning):
 
 @inlined
 def bend_rows(work, h, rows, acceleration, turning, offset, found):
-    """Let velocities of contacts be those at the ends of a step: rows change by ½h J̇ v to either side. (16.2)
+    """Add ∓½h J̇ v to the contact velocities at the start and end of a step, and −⅛h² J̇ v to the gaps. (16.2)
 
-    A path whose ends are closed is off its surface by ⅛h² J̇ v at the midpoint, which gaps are without.
+    Rows are those of the midpoint; J̇ v is their change along the velocity. A path whose ends are on the
+    surface is off it by ⅛h² J̇ v at the midpoint. Tangential velocities are in fixed axes, the normal follows
+    the surface, as the gap rate does.
 
     Args:
+        work: The workspace.
         h: Length of the step [s].
-        rows: The `StepRows`.
-        acceleration, turning: See `fill_rows`. Axes stand still for tangential velocities; the normal follows
-            the surface, as the rate of the gap does.
-        offset: (rows,) what is added to J v; takes that for the end.
-        found: The `StepResult`; `u_start`, by the rows at the midpoint, takes the change.
+        rows: The `StepRows`; its gaps are changed.
+        acceleration, turning: See `fill_rows`.
+        offset: (rows,) offset of the velocities from J v; changed to that at the end of the step.
+        found: The `StepResult`; its `u_start` is changed.
     """
     bends = np.empty(len(offset))
     rates(rows.values, rows.columns, rows.counts, work.acceleration, bends)
@@ -140,7 +144,7 @@ def bend_rows(work, h, rows, acceleration, turning, offset, found):
 
 @inlined
 def velocities(rows, offset, v, out):
-    """Fill out (rows,) with J v + offset, the last the velocities of the surfaces along the rows."""
+    """Fill out (rows,) with the row velocities J v + offset [m/s]."""
     rates(rows.values, rows.columns, rows.counts, v, out)
     for a in range(len(out)):
         out[a] += offset[a]
@@ -148,17 +152,17 @@ def velocities(rows, offset, v, out):
 
 @inlined
 def number_of(work, rows, i):
-    """Return the number of a near contact i, or limit past those, among all of them."""
+    """Return the number of near contact i among all contacts, or of limit i − nc as n + limit."""
     nc = len(rows.contacts)
     return rows.contacts[i] if i < nc else work.contacts + rows.limits[i - nc]
 
 
 @inlined
 def part_to_touch(gap, first, last):
-    """Return the part of a step after which a gap closes, whose rate goes linearly from one to another.
+    """Return the fraction of a step after which a gap closes whose rate is linear in time.
 
     Args:
-        gap: The gap at the start over the length of the step [m/s].
+        gap: The gap at the start divided by the length of the step [m/s].
         first: Its rate at the start [m/s].
         last: Its rate at the end [m/s].
     """
@@ -170,37 +174,42 @@ def part_to_touch(gap, first, last):
 
 @inlined
 def free_velocity(h, v, acceleration, system, predicted, out):
-    """Fill v (nv,) at the end of the step without impulses; `softened` forces are those of its end."""
+    """Fill out (nv,) with the velocity at the end of the step without impulses. (16.1)
+
+    `acceleration` (nv,) is that at the mean of v and `predicted`; the forces of damping and drives are
+    corrected linearly from `predicted` to the result, by `system.softened`.
+    """
     softened, moved = system.softened, np.empty(len(v))
     for c in range(len(v)):
         moved[c] = softened[c] * (h * acceleration[c] - (predicted[c] - v[c]))
-    apply_symmetric(system.inverse, moved, out)  # many are not softened
+    apply_symmetric(system.inverse, moved, out)  # most entries of `moved` are zero
     for c in range(len(v)):
         out[c] = v[c] + h * acceleration[c] - out[c]
 
 
 @inlined
 def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
-    """Fill in which contacts and limits close so fast that they have been apart: they take no part in a step.
+    """Fill in which contacts and limits arrive: they close so fast that they have been apart. (theory.md, 16)
 
-    If they close in it those that may collide do so, and others have no impulse before the next step, lest a
-    part of the velocity is stopped in either. (16.2)
+    Arriving contacts are left out of (16.2). If they close in the step, those with an impact law collide;
+    others get their impulse in the next step, so that it is not divided between two steps.
 
     Args:
+        work: The workspace.
         h: Length of the step [s].
-        strikes: Whether anything is to collide.
+        strikes: Whether impacts are allowed in this step.
         system: The `StepSystem`.
         rows: The `StepRows`.
         acceleration: (nc + nh, 3) of contacts without contact forces [m/s²].
-        free: (rows,) velocities at the end of the step without impulses.
+        free: (rows,) velocities at the end of the step without impulses [m/s].
         found: The `StepResult`, with `u_start`; its `fast` and `arrives` are filled.
     """
     collides, u_start, arrives = system.collides, found.u_start, found.arrives
     nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
     for i in range(nc + len(rows.limits)):
         row, place = normal_row(nc, every, i)
-        # what closes faster than the step's own acceleration makes has been apart: an impact; forces of other
-        # contacts, as of a body that the other one rests on, are of the size of weights
+        # a sustained contact can close only as fast as the acceleration of the step makes it; forces of other
+        # contacts, for example of a stack, are of the order of weights: twice that is an impact
         own = max(abs(free[row] - u_start[row]), h * system.gravity)
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
@@ -214,13 +223,14 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
     """Return the `VelocityProblem` of a step, and which of its contacts and scalar rows take part.
 
     Args:
+        work: The workspace.
         h: Length of the step [s].
         system: The `StepSystem`.
         rows: The `StepRows`.
-        arrives: (nc + nl,) what takes no part.
+        arrives: (nc + nl,) contacts and limits that do not take part.
         slow: Speed up to which overlap is closed [m/s].
-        free: (rows,) velocities at the end of the step without impulses; takes gap/h in addition, for gaps
-            at the midpoint of the next step are to be ≥ 0. (16.2)
+        free: (rows,) velocities at the end of the step without impulses [m/s]; gap/h is added, so that gaps
+            at the midpoint of the next step are not negative. (16.2)
     """
     contacts, held, limits, dry, values, columns, counts, _, gap = rows
     nc, every, n = len(contacts), len(contacts) + len(held), len(free)
@@ -251,18 +261,19 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
 
 @inlined
 def close_gaps(work, h, system, rows, found):
-    """Fill in the gaps at the end of a step; return what it comes to along normals.
+    """Fill in the gaps at the end of a step; return its first collision, normal work and overlap.
 
     Args:
+        work: The workspace.
         h: Length of the step [s].
         system: The `StepSystem`.
         rows: The `StepRows`.
         found: The `StepResult`; its `gap_end` is filled.
 
     Returns:
-        the part of the step until something first collides, one if nothing does; the work of impulses along
-        normals and limits until then [J]; and by how much what does not collide overlaps at the end, or what
-        is held is off [m].
+        The fraction of the step until the first collision, one if there is none; the work of impulses along
+        normals and limits until then [J]; the largest overlap, at the end, of contacts and limits that do not
+        collide, or gap of held contacts [m].
     """
     nc, every, gap = len(rows.contacts), len(rows.contacts) + len(rows.held), rows.gap
     u_start, u_end, impulse, gap_end = found.u_start, found.u_end, found.impulse, found.gap_end
@@ -285,10 +296,10 @@ def close_gaps(work, h, system, rows, found):
 
 @inlined
 def gains(h, system, rows, v, pushed, found):
-    """Return whether contacts do work on the robot in a step from velocities v (nv,).
+    """Return whether contacts add more energy in a step from v (nv,) than `STEPS_GAIN` allows.
 
-    Rows at the midpoint alone cannot: with J v⁺ = 0 the work is −½ (J v)ᵀ W⁻¹ J v. Those that bend add
-    ½ bᵀ W⁻¹ b, and overlap that is closed likewise, which has no bound near a singular posture.
+    With rows of the midpoint and J v⁺ = 0 their work is −½ (J v)ᵀ W⁻¹ J v ≤ 0. The change b of the rows, and
+    overlap that is closed, add ½ bᵀ W⁻¹ b, which is unbounded near a singular posture. (theory.md, 16)
     """
     work_done = energy = 0.0
     for a in range(3 * len(rows.surface)):
@@ -303,10 +314,9 @@ def gains(h, system, rows, v, pushed, found):
 
 @inlined
 def evaluate_in_still_axes(work, t, q, v):
-    """Leave the acceleration without contact forces, of free bodies in the axes of the midpoint. (16.1)
+    """Compute `work.acceleration` without contact forces, of free bodies in the fixed axes of the midpoint.
 
-    Returns:
-        whether that went well.
+    Returns whether this succeeded. (16.1)
     """
     set_state(work, q, v)
     evaluate_without_contacts(work, t, np.empty(2))
@@ -321,22 +331,24 @@ def evaluate_in_still_axes(work, t, q, v):
 )
 @jit
 def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found):
-    """Take a step. (16.1)
+    """Take a time step (16.1), (16.2); repeat it without the change of the rows if contacts add energy.
 
     Args:
+        work: The workspace.
         t: Time at the midpoint [s].
         h: Length of the step [s].
         q: (nq,) configuration at the midpoint.
         v: (nv,) velocity at the start, in the axes of the midpoint.
-        strikes: Whether what closes fast is to collide.
+        strikes: Whether impacts are allowed in this step.
         system: The `StepSystem`.
-        rows: The `StepRows`, of which only the numbers are set.
-        begin: (nv,) see `step_impulses`.
-        pushed: (nv,) mean acceleration by the impulses of the step before; takes that of this one.
-        found: Takes the `StepResult`.
+        rows: The `StepRows`, with only the numbers of its rows set.
+        begin: (nv,) warm start, see `step_impulses`.
+        pushed: (nv,) mean acceleration by the impulses of the previous step; overwritten with that of this
+            step.
+        found: Is overwritten with the `StepResult`.
 
     Returns:
-        How far its impulses are from Coulomb's law, see `step_impulses`, and what `close_gaps` returns.
+        The residual of Coulomb's law, see `step_impulses`, and the results of `close_gaps`.
     """
     first, before = begin.copy(), pushed.copy()
     result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, True)
@@ -355,7 +367,7 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
 )
 @external
 def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent):
-    """Take a step, `bent` or not, see `StepResult`; arguments are those of `midpoint_step`."""
+    """Take a step, with or without the change of rows (`bent`, see `StepResult`); see `midpoint_step`."""
     n, nv = len(rows.counts), len(v)
     offset, free, mean = np.empty(n), np.empty(n), np.empty(nv)
     acceleration, turning = np.empty((2, len(rows.contacts) + len(rows.held), 3))
@@ -372,7 +384,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     velocities(rows, offset, predicted, free)
     find_arrivals(work, h, strikes, system, rows, acceleration, free, found)
     for c in range(nv):
-        predicted[c] += h * pushed[c]  # by impulses as in the step before
+        predicted[c] += h * pushed[c]  # with the impulses of the previous step
         mean[c] = 0.5 * (v[c] + predicted[c])
     if not evaluate_in_still_axes(work, t, q, mean):
         return 0.0, 1.0, 0.0, 0.0
@@ -381,7 +393,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     slow = work.resting_speed if bent else 0.0
     problem, active = contact_problem(work, h, system, rows, found.arrives, slow, free)
     given = SOFTEST, SETTLED, begin, mean, found.impulse, found.course
-    off = step_impulses(problem, active, system.tree, *given)
+    residual = step_impulses(problem, active, system.tree, *given)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:
             v_end[c] = predicted[c] = 0.0
@@ -390,4 +402,4 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
             pushed[c] = mean[c] / h
     velocities(rows, offset, v_end, found.u_end)
     share, work_done, overlap = close_gaps(work, h, system, rows, found)
-    return off, share, work_done, overlap
+    return residual, share, work_done, overlap

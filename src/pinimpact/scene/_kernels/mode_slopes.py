@@ -1,4 +1,4 @@
-"""How v̇, velocities and forces of what is closed change with the state, along a step. (derivatives.md, 9)"""
+"""Derivatives of v̇, and of velocities and forces of the active set, along a step. (derivatives.md, 9)"""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS)
 @external
 def closed_slopes(work, parent, scratch, axes, velocities, forces):
-    """Fill how contact velocities change with q, and Jᵀf at the forces that `forces_at` has left. (D19, D20)
+    """Fill the derivatives of contact velocities and of Jᵀf with respect to q. (D19, D20)
 
     Args:
-        parent: (joints,) the joint that each stands on; the first is the world.
-        scratch: (joints, 6).
-        axes: (k, 3, 3) takes the axes of the closed contacts, as rows.
-        velocities: (k, 3, nv) takes ∂(contact velocity)/∂q, in axes that turn with the surface.
-        forces: (nv, nv) takes ∂(Jᵀf)/∂q at forces that turn with the axes.
+        work: The workspace, with the forces of `evaluate_closed`.
+        parent: (joints,) parent of each joint; joint 0 is the world.
+        scratch: (joints, 6) scratch array.
+        axes: (k, 3, 3) is overwritten with the axes of the active contacts, as rows.
+        velocities: (k, 3, nv) is overwritten with ∂(contact velocity)/∂q, in axes that turn with the surface.
+        forces: (nv, nv) is overwritten with ∂(Jᵀf)/∂q for forces that turn with the axes.
     """
     index, force = work.active_index, work.contact_force
     columns, joint = work.joint_jacobian, work.velocity_joint
@@ -50,7 +51,7 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
 
 @inlined
 def _fill_place(work, parent, i, axes, at, shifts):
-    """Fill the place of contact i, with axes (3, 3), and its shifts; return the joints of tip and surface."""
+    """Fill `at` and `shifts` of contact i with axes (3, 3), see `slopes.fill_place`; return its joints."""
     tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
     slopes.fill_place(
         *(work.placements[tip], work.placements[base], work.contact_constants[i], axes.reshape(9)),
@@ -69,27 +70,27 @@ def slopes_along(
     work, derive, total, smooth, parent, friction, coefficients, q0, v0, start, h, times, ends, unique, known,
     free, inside,
 ):  # fmt: skip
-    """Return how v̇ and the velocities that vanish change with the state, at some times within a step. (D23)
+    """Return derivatives of v̇ and of the m vanishing velocities at several times within a step. (D23)
 
     Args:
         work: The workspace, with the modes, constants of the contacts, signs of dry friction and control.
         derive: Addresses of a function that fills `smooth` for the forces `total`, and of its arguments.
-        total: (nv,) takes all generalized forces.
-        smooth: (3, nv, nv) ∂v̇/∂q, ∂v̇/∂v and M⁻¹ under these.
-        parent: (joints,) the joint that each stands on; the first is the world.
-        friction: Numbers of the contacts by whose friction v̇ is differentiated; −1 for none.
+        total: (nv,) is overwritten with all generalized forces.
+        smooth: (3, nv, nv) array for ∂v̇/∂q, ∂v̇/∂v and M⁻¹ under these.
+        parent: (joints,) parent of each joint; joint 0 is the world.
+        friction: Numbers of the contacts whose coefficients of friction are parameters; −1 for none.
         coefficients, q0, v0, start, h: The step, see `DenseStep`.
-        times: (s,) [s].
-        ends: (2, k, 2) directions of slip of what is closed, at the start and at the end of the step.
-        unique, known: As of `forces_at`.
-        free: Whether nothing is closed, so that drives may come to their bounds.
-        inside: Whether v̇ is differentiated: not at an end of a step, where slip may have no speed.
+        times: (s,) times [s].
+        ends: (2, k, 2) directions of slip of active contacts, at the start and at the end of the step.
+        unique, known: As in `forces_at`.
+        free: Whether the active set is empty, so that drives may reach their limits.
+        inside: Whether to differentiate v̇; not at the ends of a step, where the speed of slip may be zero.
 
     Returns:
-        ∂v̇/∂(q, v) (s, nv + m, 2 nv), followed by the rows of the m velocities that vanish, and inside, unless
-        forces are unique, by the m of what these share; v̇ by their forces
-        (s, nv, m); M⁻¹ (s, nv, nv); v̇ by friction (s, nv, n); N of the joints that turn (s, k, k); and
-        ∂(contact velocity)/∂q (k, 3, nv) at the last time.
+        by_state (s, nv + m or nv + 2 m, 2 nv): ∂v̇/∂(q, v), then the rows of the vanishing velocities, then,
+        inside and unless forces are unique, those of `_fill_shares`; derivatives of v̇ with respect to the
+        forces of the rows (s, nv, m); M⁻¹ (s, nv, nv); derivatives of v̇ with respect to friction (s, nv, n);
+        N of the joints that turn (s, k, k); ∂(contact velocity)/∂q (k, 3, nv) at the last time.
     """
     close(work, np.zeros((work.contacts, 2)))
     nv, stages, rows, index = len(v0), len(times), work.active_rows, work.active_index
@@ -129,7 +130,7 @@ def slopes_along(
 @declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool, FLOATS))
 @jit
 def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, known):
-    """Return the speeds (s, k) of what is closed at some times within a step, zero where it does not slip.
+    """Return the slip speeds (s, k) of active contacts at several times within a step, zero without slip.
 
     Arguments are those of `slopes_along`.
     """
@@ -146,7 +147,7 @@ def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, know
 
 @inlined
 def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, known, free, q, v):
-    """Leave the motion and the forces of what is closed at a time within a step, and its state in q and v."""
+    """Evaluate motion and forces at a time within a step; fill its state q and v."""
     part, reference = (t - start) / h, np.zeros((work.contacts, 2))
     state(coefficients, part, work.joint_charts, q0, v0, q, v)
     row = 0
@@ -165,7 +166,7 @@ def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, known, free
 
 @inlined
 def _add_forces(work, total):
-    """Fill all generalized forces at the state last evaluated."""
+    """Fill total (nv,) with all generalized forces at the state last evaluated."""
     jacobian, force = work.contact_jacobian, work.contact_force
     assign(total, work.tau)
     for k in range(len(force)):
@@ -178,7 +179,7 @@ def _add_forces(work, total):
 
 @inlined
 def _fill_smooth(work, smooth, by_state, inverse):
-    """Fill the slopes of v̇ under a generalized force, with damping and drives."""
+    """Fill M⁻¹ and the derivatives of v̇, including damping and drives, from `smooth`."""
     damping, n = work.damping, work.nv
     for i in range(n):
         for j in range(n):
@@ -194,9 +195,9 @@ def _fill_smooth(work, smooth, by_state, inverse):
 
 @inlined
 def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
-    """Fill the rows of the velocities that vanish, v̇ by their forces, and what the turning of slip changes.
+    """Fill the rows of the vanishing velocities and the response of v̇ to their forces.
 
-    It changes `forces`, ∂(Jᵀf)/∂q, and ∂v̇/∂v.
+    If `moving`, terms by the change of slip directions are added to `forces`, ∂(Jᵀf)/∂q, and to ∂v̇/∂v.
     """
     jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
     row, nv = work.nv, work.nv
@@ -245,14 +246,14 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
 
 @inlined
 def _without_load(work, k, row):
-    """Whether a contact, whose force begins at a row, has none since it would pull: others bear the load."""
+    """Return whether active contact k, with first row `row`, has been released from a shared load."""
     last = row if work.active_mode[k] == SLIP else row + 2
     return work.active_mode[k] != HELD and work.solution[last] == 0.0
 
 
 @inlined
 def _fill_shares(work, parent, scratch, by_state):
-    """Fill the last rows, ∂(J w)/∂q where the forces are λ = J w, J the rows of the velocities. (D23)"""
+    """Fill the last m rows with ∂(J w)/∂q, where the forces are λ = J w, J the rows of velocities. (D23)"""
     nv, m, index = work.nv, work.active_rows, work.active_index
     columns, joint = work.joint_jacobian, work.velocity_joint
     gram, weights, w = np.empty((m, m)), np.empty(m), np.zeros(nv)
@@ -281,14 +282,14 @@ def _fill_shares(work, parent, scratch, by_state):
 
 @inlined
 def _respond(inverse, push, response, row):
-    """Fill a column of the response, v̇ by a force along `push` (nv,)."""
+    """Fill column `row` of the response (nv, m) with v̇ by a unit force along `push` (nv,)."""
     for i in range(len(push)):
         response[i, row] = dot(inverse[i], push)
 
 
 @inlined
 def _fill_friction(work, friction, inverse, by_friction):
-    """Fill v̇ by the friction of contacts of which that many slip."""
+    """Fill by_friction (nv, n), zero before, with derivatives of v̇ by coefficients of friction."""
     jacobian, force = work.contact_jacobian, work.contact_force
     for column in range(len(friction)):
         for k in range(len(force)):
@@ -302,7 +303,7 @@ def _fill_friction(work, friction, inverse, by_friction):
 
 @inlined
 def _add_product(inverse, forces, out):
-    """Add M⁻¹ times forces (nv, nv), of which many are zero."""
+    """Add M⁻¹ · forces to out (nv, …), for a sparse matrix forces (nv, nv)."""
     for j in range(len(forces)):
         for k in range(len(forces)):
             if forces[j, k] != 0.0:
@@ -312,7 +313,7 @@ def _add_product(inverse, forces, out):
 
 @inlined
 def _fill_turning(work, v, turning):
-    """Fill N of the joints that turn, zero before. (D22)"""
+    """Fill N of (D22), zero before, for the joints that turn."""
     a = 0
     for c in range(len(work.joint_charts)):
         kind, j = work.joint_charts[c, 0], work.joint_charts[c, 2]
@@ -332,7 +333,7 @@ def _fill_turning(work, v, turning):
 
 @inlined
 def _fill_cross(v, j, out, row, column):
-    """Fill the matrix of the cross product with three components of v, from the j-th on."""
+    """Fill out[row : row + 3, column : column + 3] with the cross product matrix of v[j : j + 3]."""
     x, y, z = v[j], v[j + 1], v[j + 2]
     out[row, column + 1], out[row, column + 2] = -z, y
     out[row + 1, column], out[row + 1, column + 2] = z, -x

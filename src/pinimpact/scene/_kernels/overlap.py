@@ -1,4 +1,4 @@
-"""Overlap at the end of a time step, and the least displacement that takes it away. (theory.md, 16)"""
+"""Overlap at the end of a time step, and the least displacement that removes it. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, FLOATS, FLOATS, StepRows, result=float)
 @jit
 def overlap_at(work, q, v, rows):
-    """Fill the rows of a step at a configuration (nq,) and velocity (nv,); return the overlap [m].
+    """Fill the rows of a step at q (nq,) and v (nv,); return the overlap [m].
 
-    It is the largest of contacts and limits, or by how much held contacts are off.
+    It is the largest overlap of contacts and limits, or |gap| of held contacts.
     """
     set_state(work, q, v)
-    call_python(work, ABA)  # for the motions of the joints
+    call_python(work, ABA)  # fills joint placements, Jacobian, velocities and accelerations
     nc, every = len(rows.contacts), len(rows.contacts) + len(rows.held)
     acceleration, turning = np.empty((2, every, 3))
     fill_rows(work, v, rows, np.empty(len(rows.counts)), acceleration, turning)
@@ -39,9 +39,10 @@ def overlap_at(work, q, v, rows):
 @declared(StepSystem, StepRows, FLOATS, FLOATS)
 @jit
 def least_displacement(system, rows, displacement, pushes):
-    """Fill the least displacement (nv,) that opens gaps and holds what is held, and the pushes of the rows.
+    """Fill the least displacement ξ (nv,) in the metric of M that removes overlap, and its multipliers.
 
-    The system has M alone. Pushes (nc + nl + 3 nh,) are along `StepRows.normals`, then `StepRows.held_rows`.
+    `system` has M without the terms of damping and drives. `pushes` (nc + nl + 3 nh,) are the multipliers z
+    of `StepRows.normals`, then of `StepRows.held_rows`.
     """
     nc, nh, n = len(rows.contacts), len(rows.held), len(pushes)
     every, near = nc + nh, nc + len(rows.limits)

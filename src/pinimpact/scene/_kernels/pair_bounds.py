@@ -1,7 +1,7 @@
-"""Pairs of convex shapes: how far they are apart along a direction, and whether they stay so over a step.
+"""Distances of pairs of convex shapes along directions, and tests that pairs stay apart. (theory.md, 15)
 
-Arguments that several kernels take: the placements (nj, 12) of the joints, and the joints (p, 2) that carry
-the first and the second shape of each pair.
+Arguments of several kernels: `placements` (nj, 12) of the joints, and `joints` (p, 2), those that carry the
+first and the second shape of each pair.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from ...robot._kernels.python_calls import call
 from .dense_output import state
 
 PIECES = 8
-"""Parts of a step, at most, over which the direction known is tried; a power of two."""
+"""Largest number of intervals into which a step is divided to test a pair; a power of two."""
 
 TURNS = 12
-"""Directions that are tried on the way to that of a gap."""
+"""Largest number of iterations of Gilbert's method."""
 
 
 @declared(
@@ -34,25 +34,28 @@ def separations(
     calls, q, placements, joints, vertices, ranges, radii, directions,
     coefficients, charts, q0, v0, fractions, wanted, rows, out,
 ):  # fmt: skip
-    """Fill how far pairs are apart along unit directions at some times of a step, (15.5) [m].
+    """Fill the separations σ (15.5) of pairs along unit directions at several times of a step [m].
 
     Args:
-        calls: Addresses of what computes placements at q, and of its arguments, see `python_calls`.
-        q: (nq,) where it reads them.
-        vertices: (m, 3) of the cores, in the axes of their joints.
+        calls: Addresses of the function that computes placements at q and of its arguments, see
+            `python_calls`.
+        q: (nq,) array from which the function reads q.
+        placements, joints: See the module.
+        vertices: (m, 3) vertices of the cores, in the axes of their joints [m].
         ranges: (p, 3) the first vertex of the first shape, of the second one, and the one after its last.
-        radii: (p,) around both cores [m].
+        radii: (p,) sum of the radii around both cores [m].
         directions: (p, 3) from the second shape to the first, in world axes.
         coefficients: Dense output of the step, see `dense_output.interpolate`.
         charts: Table of the configuration space.
-        q0: (nq,) configuration at its start.
-        v0: (nv,) velocity there.
-        fractions: (k,) of the step.
-        wanted: (p,) of which pairs.
-        rows: (k,) where the distances of these go,
-        out: (m, p) in this.
+        q0: (nq,) configuration at the start of the step.
+        v0: (nv,) velocity at the start of the step.
+        fractions: (k,) times as fractions of the step.
+        wanted: (p,) pairs to compute.
+        rows: (k,) row of `out` for each time.
+        out: (m, p) is overwritten with the separations.
 
-    Returns whether the calls went well.
+    Returns:
+        Whether the calls succeeded.
     """
     v = np.empty(len(v0))
     for f in range(len(fractions)):
@@ -72,9 +75,9 @@ def separations(
 )
 @jit
 def turn_to_gaps(calls, placements, joints, vertices, ranges, radii, directions, wanted, out):
-    """Turn directions towards the gaps of pairs at the q that is set; fill how far they are apart (p,) [m].
+    """Turn directions towards those of the gaps at the q set; fill out (p,) with the separations [m].
 
-    Arguments and result as of `separations`.
+    Other arguments and the result are those of `separations`.
     """
     if not call(calls[0], calls[1]):
         return False
@@ -86,11 +89,11 @@ def turn_to_gaps(calls, placements, joints, vertices, ranges, radii, directions,
 
 @inlined
 def turn_to_gap(placements, joints, vertices, ranges, d):
-    """Turn a direction towards the gap of a pair's cores; return how far they are apart along it [m].
+    """Turn direction d (3,) towards that of the gap of a pair's cores; return the separation along d [m].
 
-    The direction sought is that of the point of A − B nearest to the origin. On the way from the point at
-    hand to the lowest along its direction is a nearer one. (E. G. Gilbert, SIAM Journal on Control 4, 1966)
-    The direction with the largest distance of those tried is kept.
+    Gilbert's method (SIAM Journal on Control 4, 1966) approximates the point of A − B nearest to the origin:
+    the next point is the nearest one on the segment from the present point to the support point along its
+    direction. The direction with the largest separation is kept.
     """
     A, B, first, middle, last = placements[joints[0]], placements[joints[1]], ranges[0], ranges[1], ranges[2]
     u1, u2, u3, best = d[0], d[1], d[2], -math.inf
@@ -122,7 +125,7 @@ def turn_to_gap(placements, joints, vertices, ranges, d):
 
 @inlined
 def separation(placements, joints, vertices, ranges, d):
-    """Return how far the cores of a pair are apart along d [m]."""
+    """Return the separation of the cores of a pair along d (3,) [m]."""
     low, _ = lowest(placements[joints[0]], vertices[ranges[0] : ranges[1]], d[0], d[1], d[2])
     high, _ = lowest(placements[joints[1]], vertices[ranges[1] : ranges[2]], -d[0], -d[1], -d[2])
     return low + high
@@ -130,7 +133,7 @@ def separation(placements, joints, vertices, ranges, d):
 
 @inlined
 def lowest(R, vertices, d1, d2, d3):
-    """Return the height of the lowest of vertices, placed by R, along d, and which it is."""
+    """Return the least height along d of vertices (m, 3) at the placement R, and the index of the vertex."""
     a, b, c = rotate_back(R, d1, d2, d3)
     low, which = math.inf, 0
     for i in range(len(vertices)):
@@ -145,19 +148,20 @@ def lowest(R, vertices, d1, d2, d3):
 )
 @external
 def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
-    """Fill what the acceleration of a point of one shape against one of the other does not exceed [m/s²].
+    """Fill bounds over a step of the relative acceleration of any points of two shapes [m/s²]. (10.2), (10.3)
 
-    That is over a step, in world axes for each shape: d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k with |H_jk| ≤
-    |ω_inner||J_outer|, and levers |J_k| lengthened by the way that the points can go.
+    They are sums of those of both shapes in world axes: d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k with
+    |H_jk| ≤ |ω_inner||J_outer|, the levers |J_k| being increased by the distance that points can move.
 
     Args:
-        J: (6, nv) joint Jacobian in world axes at the world's origin.
-        centers: (2 p, 3) of the shapes, in the axes of their joints.
+        placements, joints: See the module.
+        J: (6, nv) joint Jacobian in world axes at the world origin.
+        centers: (2 p, 3) centres of the shapes, in the axes of their joints [m].
         reaches: (p, 2) largest distance of a point from them [m].
-        moves: (2 p, nv) 1 for the velocities that move the shape, else 0.
-        peak: (2, nv) what |v| and |v̇| do not exceed.
+        moves: (2 p, nv) 1 for velocities that move the shape, else 0.
+        peak: (2, nv) bounds of |v| and |v̇|.
         h: Length of the step [s].
-        out: (p,) takes the bounds.
+        out: (p,) is overwritten with the bounds.
     """
     for k in range(len(joints)):
         total = 0.0
@@ -167,7 +171,7 @@ def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
             for j in range(J.shape[1]):
                 if moves[2 * k + side, j] != 0:
                     spin += math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2) * peak[0, j]
-            way = bend = 0.0
+            path = bend = 0.0
             for _ in range(2):
                 speed = bend = 0.0
                 for j in range(J.shape[1]):
@@ -175,10 +179,10 @@ def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
                         continue
                     u1, u2, u3 = column(J, j, c1, c2, c3)
                     turn = math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2)
-                    lever = math.sqrt(u1**2 + u2**2 + u3**2) + turn * (reaches[k, side] + way)
+                    lever = math.sqrt(u1**2 + u2**2 + u3**2) + turn * (reaches[k, side] + path)
                     speed += lever * peak[0, j]
                     bend += lever * (peak[1, j] + 2.0 * spin * peak[0, j])
-                way = h * speed
+                path = h * speed
             total += bend
         out[k] = total
 
@@ -193,20 +197,21 @@ def stay_apart(
     calls, q, placements, J, joints, vertices, ranges, radii, centers, reaches, moves, least, directions,
     coefficients, charts, q0, v0, peak, h, bounds, apart,
 ):  # fmt: skip
-    """Tell which pairs stay apart over a step, along directions known. (15.8)
+    """Determine which pairs stay apart over a step, by (15.8) along given directions.
 
-    A pair that is found too near at any time is given up; the others are looked at in halves, until the
-    distance cannot sag below the least one between two times. Those given up are tried once more, along
-    directions that are new.
+    Intervals are halved until the bound between their ends exceeds the least distance, or a pair is nearer at
+    one of the times. Pairs that fail are tested once more along directions turned by `turn_to_gaps`. Other
+    arguments are those of `separations` and `bends`.
 
     Args:
-        calls: (4,) addresses, see `separations`, then those of what computes J and placements at q.
-        q: (nq,) where both read them.
-        least: (p,) by what the pairs have to stay apart [m].
-        bounds: (p,) takes what `bends` finds.
-        apart: (p,) takes whether they stay apart.
+        calls: (4,) addresses, see `separations`; then those of the function that computes J and placements.
+        q: (nq,) array from which both functions read q.
+        least: (p,) distances that the pairs must keep [m].
+        bounds: (p,) is overwritten with the result of `bends`.
+        apart: (p,) is overwritten with whether the pairs stay apart.
 
-    Returns whether the calls went well.
+    Returns:
+        Whether the calls succeeded.
     """
     p = len(joints)
     found, wanted = np.empty((PIECES + 1, p)), np.ones(p, dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Whether a time step is so long that solids pass through each other in it unseen. (theory.md, 16)"""
+"""Test whether solids may pass through each other unnoticed within a time step. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -13,17 +13,23 @@ from .dynamics import compute_kinematics, set_state
 from .workspace import SceneWorkspace
 
 REACH, ARM, THICKNESS, SOLID_NUMBERS = 3, 4, 5, 6
-"""Of a solid, after its centre in the axes of its joint: how far it reaches from there, the same if it is not
-a ball, which turns in itself, and half its least thickness."""
+"""Columns of a solid after its centre in joint axes: its radius about the centre; the radius again, or zero
+for a ball, whose surface does not move when it turns; half its least thickness [m]."""
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLAGS, result=bool)
 @jit
 def may_pass(work, q, v, h, joints, solids, pairs, rests):
-    """Return whether two solids that are near move by more than their half thicknesses in half a step.
+    """Return whether two near solids may move by more than their half thicknesses in half a step.
 
-    q (nq,) and v (nv,) are those at the midpoint of a step of length h [s]. Joints (k,) carry the solids
-    (k, `SOLID_NUMBERS`), see `REACH`, pairs (p, 2) are of these; joints that `rests` (nj,) are at rest.
+    Args:
+        work: The workspace.
+        q, v: State at the midpoint of the step.
+        h: Length of the step [s].
+        joints: (k,) joints that carry the solids.
+        solids: (k, `SOLID_NUMBERS`) see `REACH`.
+        pairs: (p, 2) indices of the solids of each pair.
+        rests: (nj,) joints that are at rest.
     """
     set_state(work, q, v)
     compute_kinematics(work)

@@ -1,7 +1,7 @@
-"""The Radau IIA method of order 9: its coefficients, and what the steps that use it have in common.
+"""The Radau IIA method of order 9: coefficients, fixed-point iteration, error estimate, dense output.
 
-Source of the method: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd edition, sections
-IV.5 and IV.8. Its coefficients are made here from their definition.
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd edition, sections IV.5 and IV.8.
+The coefficients are computed from their definition.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STAGES = 5
 
 
 def _coefficients():
-    """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
+    """Return the coefficients of the method, see below."""
     s = STAGES
     p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
     p = p.deriv(s - 1)
@@ -37,7 +37,8 @@ def _coefficients():
     integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
     matrix = nodes[:, None] ** (powers + 1.0) @ integrals
     dense = np.linalg.solve(BASIS.T, np.pad(integrals, ((0, 2), (0, 0))))
-    # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
+    # a polynomial that vanishes at the nodes, with slopes 1 at 0 and 0 at 1, corrects the initial rate of the
+    # dense output
     correction = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
     for node in nodes:
         correction = correction * Polynomial([1.0, -1.0 / node])
@@ -48,11 +49,13 @@ def _coefficients():
 
 
 ABSCISSAE, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
+"""Nodes; Runge-Kutta matrix; weights of the rate at 0 of the interpolating polynomial; dense output by the
+stage rates and by the correction of the rate at 0; factor γ of the error."""
 
 
 @inlined
 def start_rates(work, rtol, atol, scale):
-    """Guess the rates at the stages; fill (2 nv,) one over the tolerances of ξ and v."""
+    """Initialize the stage rates with those at the start; fill scale (2 nv,) with 1/tolerance of ξ and v."""
     rates, v0, sizes = work.stage_rates, work.v0, work.tolerance_sizes
     n = len(v0)
     magnitudes(work.joint_charts, work.q0, sizes)
@@ -65,7 +68,7 @@ def start_rates(work, rtol, atol, scale):
 
 @inlined
 def advance_to(work, i, h, v):
-    """Fill the chart coordinates and a velocity at a stage, from the rates at all."""
+    """Fill ξ in the workspace and v (nv,) at stage i, from the rates at all stages."""
     rates, v0, xi = work.stage_rates, work.v0, work.xi
     n = len(v0)
     for m in range(n):
@@ -79,7 +82,7 @@ def advance_to(work, i, h, v):
 
 @inlined
 def evaluate_stage(work, i, t, h, change):
-    """Evaluate at a stage, and fill what its rates lack; return False if the stage leads too far."""
+    """Evaluate at stage i, fill the residual of its rates; return False outside the chart or on failure."""
     rates, xi, v = work.stage_rates, work.xi, work.v
     n, width = len(v), rates.shape[1]
     advance_to(work, i, h, v)
@@ -99,7 +102,7 @@ def evaluate_stage(work, i, t, h, change):
 
 @inlined
 def change_rates(rates, changes, h, scale):
-    """Add changes to the rates at the stages; return their size over the tolerance, root mean square."""
+    """Add changes to the stage rates; return their size relative to the tolerance, root mean square."""
     size = 0.0
     for i in range(STAGES):
         for m in range(rates.shape[1]):
@@ -111,7 +114,7 @@ def change_rates(rates, changes, h, scale):
 
 @inlined
 def start_error(rates, h, error):
-    """Fill (2 nv,) the error: what the rates' polynomial says of the start, against the rates there."""
+    """Fill error (2 nv,) with γ h times the rate at the start minus that of the interpolating polynomial."""
     for m in range(len(error)):
         total = rates[0, m]
         for j in range(STAGES):
@@ -121,7 +124,7 @@ def start_error(rates, h, error):
 
 @inlined
 def reach_end(work, h, error, scale):
-    """Fill the state at the end of the step; return the error over the tolerance."""
+    """Fill the state at the end of the step; return the error relative to the tolerance."""
     advance_to(work, STAGES - 1, h, work.v1)
     advance(work.joint_charts, work.q0, work.xi, work.q1)
     norm = 0.0
@@ -132,18 +135,18 @@ def reach_end(work, h, error, scale):
 
 
 def iterate(correct, finish, most):
-    """Return the kernel that iterates for the rates at the stages of a step, at most so many times.
+    """Return the kernel that iterates for the stage rates of a step.
 
     Args:
-        correct: correct(work, t, h, known, changes) fills by what the rates change next, and returns
-            whether that is found.
-        finish: finish(work, h, known, error) takes the stiff part out of the error (2 nv,).
-        most: The largest number of iterations.
+        correct: correct(work, t, h, known, changes) fills the next changes of the stage rates, and returns
+            whether it succeeded.
+        finish: finish(work, h, known, error) filters the error (2 nv,) by the stiff derivatives.
+        most: Largest number of iterations.
     """
 
     @inlined
     def iterations(work, t, h, rtol, atol, known):
-        """Return the error over the tolerance, infinite if the iteration does not converge."""
+        """Return the error relative to the tolerance; infinite if the iteration does not converge."""
         rates, n = work.stage_rates, len(work.v0)
         changes, scale, error = np.empty((STAGES, rates.shape[1])), np.empty(2 * n), np.empty(2 * n)
         start_rates(work, rtol, atol, scale)
@@ -166,7 +169,7 @@ def iterate(correct, finish, most):
 
 @inlined
 def complete(work, t, h):
-    """Evaluate at the end of the step last attempted; fill its dense output, and the bounds of its rates."""
+    """Evaluate at the end of the last attempted step; fill its dense output and the bounds of its rates."""
     n = len(work.v1)
     set_state(work, work.q1, work.v1)
     evaluate(work, t + h, work.stage_rates[LAST, n:])
@@ -176,7 +179,7 @@ def complete(work, t, h):
     rates, coefficients = work.stage_rates, work.dense_coefficients
     rate_bounds(rates, 1 + STAGES, n, work.rate_bounds)
     for m in range(rates.shape[1]):
-        late = rates[0, m] if m < n else 0.0  # of the configuration: its rate at the start is certain
+        late = rates[0, m] if m < n else 0.0  # corrected for ξ only, whose initial rate is exact
         for j in range(STAGES):
             late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
         for k in range(7):

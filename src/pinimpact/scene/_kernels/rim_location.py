@@ -1,9 +1,8 @@
-"""When a rim first touches its plane within the step last completed.
+"""Location of the first touch of a rim on its plane within the last completed step. (theory.md, 15)
 
-A search of its own, beside `event_location.search_for_closing`, for the lowest point of a rim may go round it
-arbitrarily fast, and then no curvature bounds the gap. What the gap is made of bends little, see
-`gap_bounds.rim_clear`. Upwards the gap bends no more than that either, for it is the least of the gaps of all
-points of the rim.
+`event_location.search_for_closing` does not apply, since the lowest point can run around the rim arbitrarily
+fast, so that g̈ has no lower bound. The terms of the gap have bounded curvature, see `gap_bounds.rim_clear`.
+g̈ is bounded from above, since the gap is the least of the gaps of all points of the rim.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ from .gap_bounds import curvatures, rim_clear, rim_gap
 from .workspace import SceneWorkspace
 
 DEPTH = 80
-"""How often a step can be halved."""
+"""Largest number of halvings of a step."""
 
 
 @inlined
 def rim_at(work, i, t, base, out):
-    """Fill the parts of a rim's gap (8,) at a time within the step, its height counted from a base."""
+    """Fill out (8,), see `gap_bounds.rim_clear`, of rim i at a time within the step, with y − base for y."""
     set_state_within(work, (t - work.step_start) / work.step_length)
     compute_kinematics(work)
     placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
@@ -44,7 +43,7 @@ def rim_at(work, i, t, base, out):
 
 @inlined
 def gap_at(work, i, t):
-    """Return gap and gap rate of a rim at a time within the step."""
+    """Return gap [m] and gap rate [m/s] of rim i at a time within the step."""
     row = np.empty(8)
     rim_at(work, i, t, 0.0, row)
     return rim_gap(row, work.contact_constants[i, RIM])
@@ -56,9 +55,9 @@ root = search_for_touch(gap_at)
 @declared(SceneWorkspace, int, float, float)
 @external
 def first_touch_of_rim(work, i, end, gap):
-    """Return the first time until `end` at which the rim of contact i touches; infinite where it does not.
+    """Return the first time until `end` at which rim i touches its plane; infinity if it does not.
 
-    All gaps of the step are counted from its gap at the start, if that is below zero.
+    If `gap`, that at the start of the step, is negative, all gaps of the step are taken relative to it.
     """
     floor, radius, bounds = work.gap_floor, work.contact_constants[i, RIM], work.gap_bounds[i]
     base, turning = min(gap, 0.0), work.turning_bounds[i]

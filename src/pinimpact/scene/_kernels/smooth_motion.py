@@ -1,4 +1,4 @@
-"""The smooth motion between events: how it begins, and how a step of it is finished."""
+"""The smooth motion between events: its start, and the completion of each step. (theory.md, 9, 11.6)"""
 
 from __future__ import annotations
 
@@ -24,16 +24,15 @@ from .workspace import SceneWorkspace
 @declared(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def begin(work, t, q, v):
-    """Begin a smooth motion: evaluate at its start, take the gaps and the stiffness of slip.
+    """Begin a smooth motion at a state: evaluate accelerations, forces, gaps and rates of stiff terms.
 
-    Return a guess how long a bounce just begun lasts [s]; infinite where there is none.
+    Returns an estimate of the duration of a bounce that has just begun [s]; infinite if there is none.
     """
     rates, gaps, modes = work.stage_rates, work.start_gaps, work.modes
     n = len(v)
     assign(work.q0, q)
     assign(work.v0, v)
     slip.set_certain_speed(work)
-    # below it slip has no direction but the one last known
     work.direction_speed = min(slip.certain(work), STILL * work.stick_speed)
     dynamics.set_state(work, q, v)
     for i in range(len(rates)):
@@ -58,7 +57,7 @@ def begin(work, t, q, v):
         if modes[i] == FREE and abs(gaps[i, 0]) <= work.touching_gap and gaps[i, 1] > work.stick_speed:
             dynamics.motion_of_contact(work, i, jacobian, three[0], three[1], three[2])
             fall = -three[1, 2]
-            for j in range(n):  # what is closed pushes
+            for j in range(n):  # effect of the active rows
                 fall -= jacobian[2, j] * (rates[0, n + j] - work.acceleration[j])
             if fall > 0.0:
                 guess = min(guess, 2.0 * gaps[i, 1] / fall)
@@ -67,7 +66,10 @@ def begin(work, t, q, v):
 
 @inlined
 def _slip_ends(work, rates):
-    """Return a guess of the time until the first certain slip ends, at the rates (2 nv, …) of the start."""
+    """Return an estimate of the time until the first slip ends [s], from the rates (2 nv, …) at the start.
+
+    Slip slower than `certain_speed` is not considered.
+    """
     ends, n = math.inf, work.nv
     jacobian, reference = work.contact_jacobian, work.slip_reference
     for k in range(len(work.active_mode)):
@@ -85,10 +87,10 @@ def _slip_ends(work, rates):
 @declared(SceneWorkspace)
 @jit
 def modes_continue(work):
-    """Whether the modes that hold do so under a force that has jumped, at the start of a smooth motion.
+    """Return whether the modes hold for certain after a jump of a force, at the start of a smooth motion.
 
-    Not where the forces of what is closed leave their bounds, and not for certain where something is about to
-    change its mode: what touches is open, or what slips has no speed.
+    They may not if contact forces violate their bounds, an open contact or limit touches, or a sliding
+    contact or joint is slower than the sticking speed.
     """
     if work.active_contacts + work.active_scalars > 0 and not work.force_margin >= 0.0:
         return False
@@ -115,11 +117,16 @@ def modes_continue(work):
 @declared(SceneWorkspace, float, float, float, bool)
 @jit
 def finish(work, t, h, error, explicit):
-    """Finish a step whose error is small enough: look for the first event in it.
+    """Complete an accepted step: dense output, first event, step size control.
 
-    What comes of it is in the workspace: the event, the margin and the drift at the end of the step, how much
-    longer the next one may be, and the dense output; also the end as the next one's start, if no event cuts
-    it. The step of length h [s] starts at t [s]; the error is over the tolerance.
+    Results are stored in the workspace. If no event cuts the step its end becomes the start of the next one.
+
+    Args:
+        work: The workspace.
+        t: Time at the start [s].
+        h: Length of the step [s].
+        error: Error of the step relative to the tolerance.
+        explicit: Whether the step was explicit.
     """
     work.step_start, work.step_length = t, h
     work.end_margin = work.force_margin
@@ -155,16 +162,16 @@ def finish(work, t, h, error, explicit):
             if rubs and work.certain_speed < now < before:
                 work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
-    elif work.event_time == -math.inf:  # the step will be tried again, shorter
+    elif work.event_time == -math.inf:  # the step will be repeated with a smaller size
         slip.restore_directions(work)
 
 
 @inlined
 def set_growth(work, h, error):
-    """Tell how much longer the next step may be, and keep this one in mind for the step after it.
+    """Set `growth`, the factor to the next step size, from the errors of this step and the previous one.
 
-    The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
-    after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
+    The trend of the two is used if it gives a smaller factor, since steps towards the end of a slip become
+    shorter and shorter. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
     """
     error, power = max(error, EPS), step_dop853.POWERS[work.method]
     factor = min(5.0, 0.9 * error**-power)
@@ -178,7 +185,7 @@ def set_growth(work, h, error):
 @declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def gaps_at(work, q, v, found):
-    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
+    """Fill found (n + nl, 2) with gap and gap rate of contacts, then of joint limits, at a state."""
     dynamics.all_gaps(work, q, v, found)
 
 
@@ -188,7 +195,10 @@ def gaps_at(work, q, v, found):
 )
 @jit
 def free_motion_at(work, t, q, v, index, joints, jacobian, velocity, acceleration, surface, gap):
-    """Fill v̇ and the motion of some contacts without contact forces, see `dynamics.motion_of_contact`."""
+    """Fill v̇ and the motion of contacts `index` (k,) without contact forces at a state.
+
+    Arrays other than joints (nv,), v̇, are those of `dynamics.motion_of_contacts`.
+    """
     dynamics.set_state(work, q, v)
     dynamics.evaluate_without_contacts(work, t, np.empty(2))
     assign(joints, work.acceleration)

@@ -1,8 +1,7 @@
-"""One step of an explicit method in a chart about its start, with its dense output.
+"""A step of an explicit Runge-Kutta method in a chart about its start, with dense output. (theory.md, 9)
 
-Of order 8 (Dormand and Prince); where a step is short since something ends it early, as the next sample of a
-control does, of order 5 with half of the evaluations, or of order 3 with half of those: `work.method`. They
-are one code with three sets of coefficients, in this order.
+`work.method` selects the order: 8 (Dormand and Prince), or, where steps are cut short, for example by the
+next sample of a control, 5 with half of the evaluations, or 3 with a quarter.
 """
 
 from __future__ import annotations
@@ -29,19 +28,19 @@ SAMPLES = np.array(
         [0, 1, 2, 3, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1],
     ]
 )
-"""Which sample of the step a stage is, see `samples`."""
+"""Sample number of each stage by method, see `samples`; −1 for stages that are not sampled."""
 
 SAMPLE_COUNTS = np.array([7, 6, 4])
 
 POWERS = np.array([1 / 8, 1 / 5, 1 / 3])
-"""Of the error, in the factor by which the next step may be longer."""
+"""Exponents p by method: the step size control scales a step by error⁻ᵖ."""
 
 LAST = np.array([STAGES, dopri5.STAGES, bogacki_shampine.STAGES])
-"""The stage at the end of the step."""
+"""Stage at the end of the step, by method."""
 
 
 def _all(high, *others):
-    """Return the coefficients of all methods, in arrays of one shape."""
+    """Return the coefficients of all methods in one array, padded with zeros."""
     found = np.zeros((1 + len(others), *high.shape))
     found[0] = high
     for k, low in enumerate(others, start=1):
@@ -58,7 +57,10 @@ DENSES = _all(DENSE, dopri5.DENSE[None], np.zeros((1, 0)))
 @declared(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
-    """Compute a step of length h; return its error over the tolerance, infinite if it leads too far."""
+    """Compute a step of length h [s] from t [s]; return its error relative to the tolerance.
+
+    The error is infinite if a stage leaves the chart or a call into Python fails.
+    """
     rates, v0, v1 = work.stage_rates, work.v0, work.v1
     reactions = work.stage_reactions
     work.step_turns = False
@@ -91,10 +93,10 @@ def attempt(work, t, h, rtol, atol):
 
 @inlined
 def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
-    """Return the error over the tolerance of the velocity that what is closed takes away in the step.
+    """Return the error of ∫ r dt over the step relative to the tolerance, r = v̇ due to active rows.
 
-    What rests does not move whatever pulls at it, so the error of the motion does not see a load that the
-    step is too long for; that of the reactions does.
+    A body at rest does not move under any load, so the error of the motion does not show that a step is too
+    long for a changing load; the error of the reactions does. (theory.md, 11.6)
     """
     n = len(v0)
     e3 = e5 = 0.0
@@ -115,7 +117,7 @@ def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
 @declared(SceneWorkspace, int, float)
 @external
 def set_stage(work, i, h):
-    """Set the state at stage i, and fill the stage's ξ̇."""
+    """Set the state at stage i of a step of length h [s], and fill ξ̇ of the stage."""
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
     n, weights = len(v0), STEPS[work.method, i]
     for m in range(n):
@@ -132,7 +134,7 @@ def set_stage(work, i, h):
 
 @inlined
 def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
-    """Return the error of the step over the tolerance, root mean square over ξ and v."""
+    """Return the error of the step relative to the tolerance, root mean square over ξ and v."""
     n = len(v0)
     e3 = e5 = 0.0
     for m in range(2 * n):
@@ -151,7 +153,7 @@ def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
 
 @inlined
 def complete(work, t, h):
-    """Fill the dense output of the step last attempted, and the bounds of its rates."""
+    """Fill the dense output of the last attempted step, and the bounds of its rates."""
     rates, out = work.stage_rates, work.dense_coefficients
     n, which = len(work.v0), work.method
     last = LAST[which]
@@ -178,7 +180,7 @@ def complete(work, t, h):
 
 @inlined
 def begin_next(work):
-    """Take the end of the step last attempted as the start of the next one."""
+    """Copy the end of the last attempted step to the start of the next one."""
     rates, v0, last = work.stage_rates, work.v0, LAST[work.method]
     assign(work.q0, work.q1)
     assign(v0, work.v1)

@@ -1,4 +1,4 @@
-"""The contact impulses of a time step, island by island. (theory.md, 16)"""
+"""Contact impulses of a time step, computed island by island. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from ..._numeric.products import products
 from ..._numeric.tolerances import LITTLE, STALLED
 
 USABLE = STALLED
-"""What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
-less than steps of any useful length do."""
+"""Residual of the contact problem, relative to u_free, above which it is solved again, and reported. It is
+much smaller than the error of steps of any useful size."""
 
 TOLERABLE = LITTLE
-"""The same, before it is solved in the impulses, which takes a thousand times as long for many contacts."""
+"""Residual above which the problem is solved in the impulses, a thousand times slower for many contacts."""
 
 ATTEMPTS = 3
-"""Attempts to solve a problem, the first from where the step before has ended."""
+"""Largest number of attempts in the velocities, the first one with a warm start."""
 
 LESS = 0.1
-"""Part of the compliances of an attempt that the next one takes: it takes more steps, but surer ones."""
+"""Factor of the compliances from one attempt to the next: smaller ones need more steps, but are safer."""
 
 
 @declared(FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def invert_trees(upper, added, tree, mass, inverse):
-    """Fill M (nv, nv) with what is added (nv,) to its diagonal, and its inverse, tree by tree.
+    """Fill mass (nv, nv) with M + diag(added), from the upper triangle of M, and its inverse, tree by tree.
 
-    Tree (nv,) is the number of that to which each velocity belongs; entries between trees stay zero.
+    tree (nv,) is the number of the tree of each velocity; entries between different trees stay zero.
     """
     nv = len(tree)
     moves = np.empty(nv, dtype=np.int64)
@@ -46,7 +46,7 @@ def invert_trees(upper, added, tree, mass, inverse):
             if tree[a] == k:
                 moves[size] = a
                 size += 1
-        if size == 0:  # there are no more trees
+        if size == 0:
             break
         block, order = np.empty((size, size)), np.empty(size, dtype=np.int64)
         for a in range(size):
@@ -66,7 +66,7 @@ def invert_trees(upper, added, tree, mass, inverse):
 
 @inlined
 def label_trees(columns, counts, contacts, active, tree, label, first):
-    """Fill the label of each tree, the same for those of an island, and a tree of each item, −1 for none."""
+    """Fill the label of each tree, equal within an island, and one tree of each item, −1 if inactive."""
     for k in range(len(label)):
         label[k] = k
     for i in range(len(active)):
@@ -85,43 +85,44 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
 
 @external
 def solve_island(problem, part, accuracy, begin, change, found, course):
-    """Find the impulses of an island; return how far they are from Coulomb's law, in parts of u_free.
+    """Compute the impulses of an island; return the residual of Coulomb's law relative to u_free.
 
     Args:
-        problem: Its `VelocityProblem`.
+        problem: The `VelocityProblem` of the island.
         part: See `solve_velocities`.
-        accuracy: Part of u_free to which to find them.
-        begin: (m,) change of the velocities with which to begin; takes a better one, see `solve_velocities`.
-        change: (m,) takes that by the impulses.
-        found: (n,) takes the impulses.
-        course: (2, …, n) takes r and f⁺ of the iterations that lead to them, zeros if none do.
+        accuracy: Relative accuracy, see `solve_velocities`.
+        begin: (m,) warm start: change of the velocities; overwritten with that for the next problem.
+        change: (m,) is overwritten with the change of velocities by the impulses.
+        found: (n,) is overwritten with the impulses.
+        course: (2, …, n) is overwritten with r and f⁺ of the iterations, zeros if the problem was solved in
+            the impulses.
     """
     n, m = len(found), len(change)
-    off, other, moved = math.inf, np.zeros(n), np.empty(m)
+    residual, impulses, moved = math.inf, np.zeros(n), np.empty(m)
     for attempt in range(ATTEMPTS):
-        if attempt > 0:  # with less at a time, from nothing
+        if attempt > 0:  # with smaller compliances, from zero
             part *= LESS
             filled(begin, 0.0)
         now = np.zeros_like(course)
-        left = solve_velocities(problem, part, accuracy, begin, moved, other, now)
-        if left < off:
-            off = left
+        residual_now = solve_velocities(problem, part, accuracy, begin, moved, impulses, now)
+        if residual_now < residual:
+            residual = residual_now
             course[:] = now
             assign(change, moved)
-            assign(found, other)
-        if off <= USABLE:
-            return off
-    if off <= TOLERABLE:
-        return off
+            assign(found, impulses)
+        if residual <= USABLE:
+            return residual
+    if residual <= TOLERABLE:
+        return residual
     course[:] = 0.0
-    return solve_in_impulses(problem, off, change, found)
+    return solve_in_impulses(problem, residual, change, found)
 
 
 @external
-def solve_in_impulses(problem, off, change, found):
-    """Find the impulses of an island with its Delassus matrix, and keep them where they are better.
+def solve_in_impulses(problem, residual, change, found):
+    """Compute the impulses of an island with its Delassus matrix; keep them if their residual is smaller.
 
-    Arguments and value are those of `solve_island`; `off` is how far those in `found` are from the law.
+    Arguments and result are those of `solve_island`; `residual` is that of the impulses in `found`.
     """
     _, inverse, _, values, columns, counts, free, friction, lower, upper, compliance = problem
     n, m, nc = len(found), len(change), len(friction)
@@ -134,28 +135,28 @@ def solve_in_impulses(problem, off, change, found):
     for a in range(n):
         for b in range(a):
             delassus[b, a] = delassus[a, b]
-    velocity, least, held, other = np.zeros((nc, 2)), np.zeros(nc), flags(nc, False), np.zeros(n)
-    system = delassus, free, velocity, friction, least, held, lower, upper, other
-    left = solve_compliant(*system, compliance) if n > m and nc > 0 else solve_coulomb(*system)
-    if not left < off:
-        return off
-    assign(found, other)
+    velocity, least, held, impulses = np.zeros((nc, 2)), np.zeros(nc), flags(nc, False), np.zeros(n)
+    system = delassus, free, velocity, friction, least, held, lower, upper, impulses
+    residual_now = solve_compliant(*system, compliance) if n > m and nc > 0 else solve_coulomb(*system)
+    if not residual_now < residual:
+        return residual
+    assign(found, impulses)
     for c in range(m):
         change[c] = 0.0
         for a in range(n):
             change[c] += response[a, c] * found[a]
-    return left
+    return residual_now
 
 
 class Island(NamedTuple):
-    """What belongs to an island, by its numbers among all.
+    """The members of an island, by their numbers in the whole problem.
 
     Attributes:
-        items: Contacts, then scalar rows past those, in the order of their numbers.
-        contacts: How many of them are contacts.
-        rows: Their rows.
-        moves: The velocities of its trees.
-        place: (nv,) places of velocities among those of their islands.
+        items: Contacts, then scalar rows (counted after the contacts), in ascending order.
+        contacts: Number of contacts among the items.
+        rows: Rows of the items.
+        moves: Velocities of the island's trees.
+        place: (nv,) position of each velocity within its island.
     """
 
     items: Integers
@@ -167,9 +168,10 @@ class Island(NamedTuple):
 
 @inlined
 def members(nc, number, label, first, tree, place):
-    """Return an `Island` by its number, the label of its trees, and fill in its velocities' places.
+    """Return the `Island` whose trees have the label `number`, and fill the places of its velocities.
 
-    There are `nc` contacts; label (trees,) and first (items,) see `label_trees`, place (nv,) see `Island`.
+    nc is the number of contacts; label (trees,) and first (items,) are those of `label_trees`, place (nv,)
+    that of `Island`.
     """
     items, rows = np.empty(len(first), dtype=np.int64), np.empty(2 * nc + len(first), dtype=np.int64)
     moves = np.empty(len(tree), dtype=np.int64)
@@ -196,7 +198,7 @@ def members(nc, number, label, first, tree, place):
 
 @inlined
 def problem_of(problem, island):
-    """Return the `VelocityProblem` of an island, from that of all."""
+    """Return the `VelocityProblem` of an island, extracted from the whole one."""
     items, contacts, rows, moves, place = island
     mass, inverse, start, values, columns, counts, free, friction, lower, upper, compliance = problem
     m, n, scalars, widest = len(moves), len(rows), len(items) - contacts, 0
@@ -227,22 +229,20 @@ def problem_of(problem, island):
 @declared(VelocityProblem, FLAGS, INTEGERS, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK, result=float)
 @jit
 def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse, course):
-    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of u_free.
+    """Compute the impulses of a step; return the residual of Coulomb's law relative to u_free. (16.2)
 
-    Of several solutions nearly the limit of small compliances is taken. (11.5)
+    Of several solutions it is nearly the limit of small compliances.
 
     Args:
-        problem: The `VelocityProblem`; M is zero between trees of joints, u_free [m/s] the velocities at the
-            end of the step without impulses, and what gaps leave of them.
-        active: (nc + ns,) what takes part.
+        problem: The `VelocityProblem`; M is zero between trees of joints, u_free [m/s] includes gap/h.
+        active: (nc + ns,) contacts and scalar rows that take part.
         tree: (nv,) number of the tree that each velocity belongs to.
         part: See `solve_velocities`.
-        accuracy: Part of u_free to which to find them.
-        begin: (nv,) change of the velocities with which to begin; takes that with which a problem that is
-            nearly the same begins best.
-        change: (nv,) takes that by the impulses.
-        impulse: (n,) takes the impulses.
-        course: (2, …, n) takes r and f⁺ of the iterations of each island, see `solve_island`.
+        accuracy: Relative accuracy, see `solve_velocities`.
+        begin: (nv,) warm start: change of the velocities; overwritten with that for the next problem.
+        change: (nv,) is overwritten with the change of velocities by the impulses.
+        impulse: (n,) is overwritten with the impulses.
+        course: (2, …, n) is overwritten with r and f⁺ of the iterations of each island, see `solve_island`.
     """
     nc, nv, trees = len(problem.friction), len(tree), 0
     for c in range(nv):

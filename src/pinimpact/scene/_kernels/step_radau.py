@@ -1,11 +1,11 @@
-"""One step of the Radau IIA method of order 9, for slip whose direction settles fast, and for stiff drives.
+"""A step of the Radau IIA method of order 9, for slip whose direction settles fast, and for stiff drives.
 
-Friction follows the direction of slip, and at a small speed s that direction turns at a rate of about
-wᵀu/s: w picks the velocity across the slip, and u = ∂v̇/∂θ is what a turn of the friction does. Where h wᵀu/s
-is large an explicit step is unstable. Here the angles θ of friction at the stages are unknowns of their own,
-with the condition that there is no velocity across them; that stays regular down to s = 0. Newton's method
-then needs no more than a system with one unknown per contact and stage, after what the laws of stiff drives
-make of the rates, and the rest is iterated along. See `radau` for the method, `stiff_drives` for the drives.
+Friction is opposite to the slip, and at a small speed s the direction of slip settles at a rate of about
+wᵀu/s, where wᵀv is the velocity across the slip and u = ∂v̇/∂θ the effect of turning the friction by an angle
+θ. If h wᵀu/s is large an explicit step is unstable. Here the angles θ at the stages are additional unknowns,
+with the equations wᵀv = 0, which are regular down to s = 0. Newton's method treats only these angles (one
+unknown per contact and stage) and the laws of stiff drives implicitly; the remaining terms are iterated. See
+`radau` for the method, `stiff_drives` for the drives.
 """
 
 from __future__ import annotations
@@ -28,16 +28,21 @@ from .stiff_drives import driven_at, follow, relieve
 from .workspace import SceneWorkspace
 
 ITERATIONS = 12
+"""Largest number of iterations of a step."""
+
 STIFF = 3.0
-"""Explicit steps are stable up to about twice this h wᵀu/s; longer ones are implicit."""
+"""h wᵀu/s above which steps are implicit: explicit ones are stable up to about twice this value."""
 
 SLOW = 0.5
-"""The same, or h times the rate of the drives, up to which an implicit step iterates them along."""
+"""h wᵀu/s, and h times the rate of the drives, up to which an implicit step only iterates these terms."""
 
 
 @inlined
 def turn(work, k, s1, s2, across, effect):
-    """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
+    """Fill w, across (nv,), and u, effect (nv,), of active contact k that slips along (s1, s2).
+
+    They are those of the state last evaluated.
+    """
     mode, mu, jacobian = work.active_mode, work.active_friction, work.contact_jacobian
     equations, response, solution = work.equation_rows, work.force_response, work.solution
     n, size = len(across), len(solution)
@@ -63,15 +68,16 @@ def turn(work, k, s1, s2, across, effect):
 
 
 class Turning(NamedTuple):
-    """What the iteration knows of the c contacts that slip against friction.
+    """Data of the iteration for the c contacts that slip against friction.
 
     Attributes:
-        slips: (c,) their places among the active contacts.
-        directions: (stages, c, 2) of friction.
-        across: (stages, c, nv) rows w of the velocity across the slip.
-        effect: (stages, c, nv) u, v̇ for a turn of the friction.
-        answer: (stages, c, stages, 2 nv) the rates at the stages for it, with what drives make of u.
-        speeds: (stages, c) along the slip [m/s].
+        slips: (c,) positions among the active contacts.
+        directions: (stages, c, 2) directions opposite to friction.
+        across: (stages, c, nv) rows w.
+        effect: (stages, c, nv) u = ∂v̇/∂θ.
+        answer: (stages, c, stages, 2 nv) derivatives of all stage rates with respect to θ: u, and the
+            response of the drives to it.
+        speeds: (stages, c) speeds along the directions [m/s].
     """
 
     slips: Any
@@ -84,7 +90,7 @@ class Turning(NamedTuple):
 
 @inlined
 def turning(work, stiff):
-    """Return the `Turning` at the start of the iteration, without contacts if not `stiff`."""
+    """Return the initial `Turning` of the iteration; it has no contacts unless `stiff`."""
     mode, mu, reference, n, s = work.active_mode, work.active_friction, work.slip_reference, work.nv, STAGES
     rubbing = np.zeros(len(mode), dtype=np.int64)
     for k in range(len(mode)):
@@ -101,7 +107,7 @@ def turning(work, stiff):
 
 @inlined
 def correct(work, t, h, known, changes):
-    """Fill by what the rates at the stages change, and turn the directions of friction there."""
+    """Fill the next changes of the stage rates, turn the directions of friction; return False on failure."""
     driven, (slips, directions, across, effect, answer, speeds) = known
     reference, velocity = work.slip_reference, work.contact_velocity
     s, count, n, drives = speeds.shape[0], speeds.shape[1], across.shape[2], len(driven.index) > 0
@@ -158,7 +164,7 @@ def correct(work, t, h, known, changes):
 
 @inlined
 def equilibrate(matrix, right):
-    """Divide each equation by its largest coefficient: one contact may be fast as another begins to slip."""
+    """Divide each equation by its largest coefficient, since speeds may differ by orders of magnitude."""
     for a in range(len(right)):
         largest = 0.0
         for b in range(len(right)):
@@ -171,7 +177,7 @@ def equilibrate(matrix, right):
 
 @inlined
 def finish(work, h, known, error):
-    """Divide the error of ξ and v by 1 − γ h times the stiff derivatives; leave the directions."""
+    """Divide the error (2 nv,) of ξ and v by 1 − γ h times the stiff derivatives; store the directions."""
     driven, (slips, directions, across, effect, _, speeds) = known
     count, n = across.shape[1], across.shape[2]
     matrix, right, turned = np.empty((count, count)), np.empty(count), np.empty(count)
@@ -206,15 +212,18 @@ iterations = iterate(correct, finish, ITERATIONS)
 @declared(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
-    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
+    """Compute a step of length h [s] from t [s]; return its error relative to the tolerance.
+
+    The error is infinite if the iteration does not converge.
+    """
     slowest, turns = work.direction_speed, h * work.slip_stiffness > SLOW
     work.step_turns = turns
     if turns:
-        work.direction_speed = math.inf  # so that friction takes the direction that it is given
+        work.direction_speed = math.inf  # friction is then opposite to `slip_reference` at any speed
     driven, found = driven_at(work, t, h, h * work.drive_rate > SLOW)
     error = iterations(work, t, h, rtol, atol, (driven, turning(work, turns))) if found else math.inf
     work.direction_speed = slowest
-    if error <= 1.0 and not work.callback_failed:  # where slip is slow, friction keeps the direction found
+    if error <= 1.0 and not work.callback_failed:
         complete(work, t, h)
     elif turns:
         restore_directions(work)

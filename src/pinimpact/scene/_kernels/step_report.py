@@ -1,4 +1,4 @@
-"""What is reported of a time step: dense output, powers, modes and mean forces. (theory.md, 16)"""
+"""Output of a time step: dense output, powers, modes and mean forces. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .workspace import SceneWorkspace
 
 @inlined
 def free_modes(work, rests):
-    """Set all modes to `FREE` but those of what rests, `rests` (nj,)."""
+    """Set the modes of contacts, limits and velocities to `FREE`, except at joints at rest, rests (nj,)."""
     modes = work.modes
     for i in range(work.contacts):
         if not (rests[work.contact_joints[i, 0]] and rests[work.contact_joints[i, 1]]):
@@ -34,7 +34,7 @@ def free_modes(work, rests):
 
 @inlined
 def scalar_modes(work, still, rows, found, dried):
-    """Set the modes of joint limits and dry joints, and fill in the impulses of dry friction (nv,)."""
+    """Set the modes of limits and of joints with dry friction; fill the friction impulses, dried (nv,)."""
     modes, limits, dry, impulse = work.modes, rows.limits, rows.dry, found.impulse
     first = 3 * (len(rows.contacts) + len(rows.held))
     for k in range(len(dry)):
@@ -47,9 +47,10 @@ def scalar_modes(work, still, rows, found, dried):
 
 @inlined
 def dense_motion(work, h, start, v_end, coefficients):
-    """Fill the dense output of q and v: velocities linear in time, of free bodies in axes that stand still.
+    """Fill the dense output of q and v: velocities are linear in time, for free bodies in fixed axes.
 
-    In axes that turn with them theirs is the cubic with both rates. Arguments as of `report_step`.
+    In body axes it is approximated by the cubic with the same values and rates at both ends. Arguments as in
+    `report_step`.
     """
     charts, nv = work.joint_charts, len(start)
     turn, last, ended, first_rate, last_rate = np.empty((5, nv))
@@ -73,10 +74,9 @@ def dense_motion(work, h, start, v_end, coefficients):
 
 @inlined
 def joint_powers(work, h, v, softened, found, dried, powers):
-    """Fill the powers, times h, of control and drives and of joints.
+    """Add the powers, times h, of control and drives, and of joints, to powers (2, 2): at start and end [J].
 
-    Arguments as of `report_step`; `dried` (nv,) are impulses of dry friction, powers (2, 2) takes those at
-    the start and at the end.
+    `dried` (nv,) are the impulses of dry friction; other arguments as in `report_step`.
     """
     v_end, predicted = found.v_end, found.predicted
     for c in range(len(v)):
@@ -91,10 +91,10 @@ def joint_powers(work, h, v, softened, found, dried, powers):
 
 @inlined
 def contact_motion(work, h, still, rounding, rows, found, powers, forces):
-    """Fill the mean forces of contacts, their modes, and the powers, times h, of friction and of surfaces.
+    """Fill mean forces and modes of contacts; add the powers, times h, of sliding friction and of surfaces.
 
-    Modes of contacts without impulse stay. Arguments as of `report_step`; `rounding` is the impulse up to
-    which nothing is closed [N s], powers (2, 2) takes those at the start and at the end.
+    Contacts whose impulse is not above `rounding` [N s] keep their mode. `powers` (2, 2) are those at start
+    and end [J]; other arguments as in `report_step`.
     """
     contacts, held, surface = rows.contacts, rows.held, rows.surface
     impulse, u_start, u_end = found.impulse, found.u_start, found.u_end
@@ -129,18 +129,18 @@ def contact_motion(work, h, still, rounding, rows, found, powers, forces):
 )
 @jit
 def report_step(work, h, still, start, v, system, rows, found, coefficients, forces):
-    """Fill dense output, modes and mean forces of a step just taken; return whether any force acts.
+    """Fill dense output, modes and mean forces of a completed step; return whether any force acts.
 
-    The velocity is linear in time, and so are the powers.
+    Velocities and powers are linear in time.
 
     Args:
-        work: The workspace; its modes are set, but those of what rests.
+        work: The workspace; its modes are set, except at joints at rest.
         h: Length of the step [s].
-        still: Speed up to which nothing slips [m/s].
-        start, v: (nv,) velocity at the start, in its axes and in those of the midpoint.
-        system, rows, found: What the step was solved with.
-        coefficients: (terms, 2 nv + works) takes the dense output; zero before.
-        forces: Takes the `MeanForces`; zero before.
+        still: Speed up to which a contact or joint is at rest [m/s].
+        start, v: (nv,) velocity at the start, in the axes of the start and of the midpoint.
+        system, rows, found: `StepSystem`, `StepRows` and `StepResult` of the step.
+        coefficients: (terms, 2 nv + 4) is overwritten with the dense output; zero before.
+        forces: Is overwritten with the `MeanForces`; zero before.
     """
     dried, impulse, joints, nv = np.zeros(len(v)), found.impulse, forces.joints, len(v)
     powers = np.zeros((4, 2))  # of control and drives, of joints, of sliding friction, of surfaces

@@ -1,4 +1,4 @@
-"""What a time step starts from and leads to: rows, matrices, velocities, forces. (theory.md, 16)"""
+"""Input and results of a time step: rows, matrices, velocities, forces. (theory.md, 16)"""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from ..._compile.jit import inlined
 
 
 class StepRows(NamedTuple):
-    """The rows of a step: three of each contact, three of each held one, then those of scalar rows.
+    """The rows of a step: three per contact, three per held contact, then one per limit and dry joint.
 
     Attributes:
-        contacts: (nc,) numbers of the contacts that are near.
-        held: (nh,) numbers of the held ones.
-        limits: (nl,) numbers of the joint limits that are near.
-        dry: (nd,) velocities of the joints with dry friction.
+        contacts: (nc,) numbers of the near contacts.
+        held: (nh,) numbers of the held contacts.
+        limits: (nl,) numbers of the near joint limits.
+        dry: (nd,) indices in v of the joints with dry friction.
         values: (rows, …) nonzero entries of each row of the Jacobian.
         columns: (rows, …) their columns, in ascending order.
         counts: (rows,) their numbers.
         surface: (nc + nh, 3) velocities of the surfaces [m/s].
-        gap: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint, halfway between those at
-            the ends [m].
+        gap: (nc + nh + nl,) gaps of contacts, held contacts and limits at the midpoint, γ of (16.2) [m].
     """
 
     contacts: Integers
@@ -37,17 +36,17 @@ class StepRows(NamedTuple):
     gap: Floats
 
     def near(self, contacts: int) -> Integers:
-        """Return the numbers of contacts, and of limits past those, which are so many."""
+        """Return the numbers of near contacts, then of near limits counted after all `contacts`."""
         return np.concatenate([self.contacts, self.limits + contacts])
 
     @property
     def normals(self) -> Integers:
-        """(nc + nl,) The rows along the normals of contacts, and those of limits."""
+        """(nc + nl,) Numbers of the normal rows of contacts and of the rows of limits."""
         nc, nh = len(self.contacts), len(self.held)
         return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
 
     def room(self, nv: int, iterations: int) -> StepResult:
-        """Return room for what a step leads to, with nv velocities, and for so many iterations."""
+        """Return an uninitialized `StepResult` for nv velocities and a number of iterations."""
         impulse, u_start, u_end = np.empty((3, len(self.counts)))
         predicted, v_end = np.empty((2, nv))
         items = len(self.contacts) + len(self.limits)
@@ -57,12 +56,12 @@ class StepRows(NamedTuple):
 
     @property
     def held_rows(self) -> Integers:
-        """(3 nh,) The rows of held contacts."""
+        """(3 nh,) Numbers of the rows of held contacts."""
         return 3 * len(self.contacts) + np.arange(3 * len(self.held))
 
 
 def widest(before: Integers) -> int:
-    """Return how many velocities move the ends of a contact at the most, from the one before each."""
+    """Return the largest number of velocities that move a contact, from the `velocity_parent` of each."""
     depth: list[int] = []
     for parent in before.tolist():
         depth.append(1 + (depth[parent] if parent >= 0 else 0))
@@ -70,18 +69,18 @@ def widest(before: Integers) -> int:
 
 
 class StepSystem(NamedTuple):
-    """What is the same in all steps of a length, or follows from the configuration at the midpoint.
+    """Data that depend on the step size and on the configuration at the midpoint only.
 
     Attributes:
-        mass: (nv, nv) M with what damping and drives add.
+        mass: (nv, nv) M with the terms of damping and drives.
         inverse: (nv, nv) its inverse.
-        softened: (nv,) what they add.
+        softened: (nv,) these terms, ½hD + ¼h²K.
         tree: (nv,) number of the tree that each velocity belongs to.
         start: (nv,) the first velocity of that tree.
-        rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
-        collides: (n + nl,) which contacts and limits do not close by the laws of a step, but by an impact.
-        compliances: (n,) of all contacts.
-        gravity: Its acceleration [m/s²].
+        rests: (nj,) joints at rest, including the world; their velocity stays zero.
+        collides: (n + nl,) contacts and limits that close by an impact law, and not by (16.2).
+        compliances: (n,) relative compliances of all contacts.
+        gravity: Gravitational acceleration [m/s²].
     """
 
     mass: FloatRows
@@ -96,19 +95,19 @@ class StepSystem(NamedTuple):
 
 
 class StepResult(NamedTuple):
-    """What a step leads to.
+    """The results of a step.
 
     Attributes:
-        impulse: (rows,) the impulses [N s].
-        u_start: (rows,) velocities of the rows at the start [m/s], of joints see `joint_metres`.
-        u_end: (rows,) those at the end.
-        fast: (nc + nl,) what closes so fast that it has been apart.
-        arrives: (nc + nl,) which of it has no impulse here.
-        predicted: (nv,) the velocity with which forces were evaluated at the end.
-        v_end: (nv,) the velocity at the end; both are in the axes of the midpoint.
-        gap_end: (nc + nl,) the gaps at the end [m].
-        bent: (1,) whether the rows of contacts bend along the velocity, and slow overlap is closed.
-        course: (2, …, rows) compliances r and impulses of the iterations, zeros from the last one on. (16.3)
+        impulse: (rows,) impulses [N s].
+        u_start: (rows,) row velocities at the start [m/s]; joints are scaled by `joint_metres`.
+        u_end: (rows,) row velocities at the end.
+        fast: (nc + nl,) contacts and limits that close so fast that they have been apart.
+        arrives: (nc + nl,) those of them without impulse in this step.
+        predicted: (nv,) predicted velocity at the end, from which forces were evaluated.
+        v_end: (nv,) velocity at the end; both are in the axes of the midpoint.
+        gap_end: (nc + nl,) gaps at the end [m].
+        bent: (1,) whether the term ½h J̇ v of (16.2) is included, and slow overlap is closed.
+        course: (2, …, rows) compliances r and impulses of the iterations (16.3), zeros after the last one.
     """
 
     impulse: Floats
@@ -123,12 +122,12 @@ class StepResult(NamedTuple):
     course: FloatStack
 
     def kept(self) -> StepResult:
-        """Return this with its own velocities, and the iterations that were taken."""
+        """Return a copy of the velocities, with the other fields, and only the iterations that were taken."""
         used, predicted = self.course[0].any(axis=1), self.predicted.copy()
         return self._replace(v_end=self.v_end.copy(), predicted=predicted, course=self.course[:, used])
 
     def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
-        """Return the gaps (nc + nl,) after a part of a step of length h, whose rates are linear in time."""
+        """Return the gaps (nc + nl,) after a fraction of a step of length h; rates are linear in time."""
         start, end = self.u_start[rows.normals], self.u_end[rows.normals]
         return self.gap_end + h * ((part - 1.0) * start + 0.5 * (part * part - 1.0) * (end - start))
 
@@ -137,9 +136,9 @@ class MeanForces(NamedTuple):
     """The mean forces of a step.
 
     Attributes:
-        world: (nc + nh, 3) forces of contacts and held ones in world axes [N].
-        points: (nc + nh, 3) where they act [m].
-        axes: (nc + nh, 3, 3) contact axes there, as rows.
+        world: (nc + nh, 3) forces of contacts and held contacts in world axes [N].
+        points: (nc + nh, 3) points of action [m].
+        axes: (nc + nh, 3, 3) contact axes, as rows.
         joints: (nv,) forces of limits and dry friction [N or N m].
     """
 
@@ -151,15 +150,15 @@ class MeanForces(NamedTuple):
 
 @inlined
 def closing_speed(gap, slow, h):
-    """Return the speed [m/s] at which a gap is to close; overlap that closes faster is removed instead."""
+    """Return γ/h of (16.2) [m/s]; zero for overlap that would close faster than `slow` [m/s]."""
     return gap / h if gap > -slow * h else 0.0
 
 
 @inlined
 def normal_row(nc, every, i):
-    """Return the row along the normal of contact i < nc, or of limit i − nc, and the place of its gap.
+    """Return the normal row of contact i < nc, or the row of limit i − nc, and the index of its gap.
 
-    `every` is the number of all contacts, held ones among them.
+    `every` is the number of contacts including held ones.
     """
     if i < nc:
         return 3 * i + 2, i

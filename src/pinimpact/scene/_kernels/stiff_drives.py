@@ -1,9 +1,9 @@
-"""Drives and damping of joints that are stiff, in an implicit step.
+"""Stiff drives and joint damping in an implicit step, see `step_radau`.
 
-A drive of damping d on a joint of little inertia settles at a rate N d, where N = ∂v̇/∂τ is what forces of the
-drives do to v̇ with all that is closed; an explicit step is stable up to about five of these times. Here
-Newton's method takes the laws of the drives as they are, ∂v̇/∂v = −N d and ∂v̇/∂q = −N k with the N at the
-start. Viscous damping of a joint is a law of the same kind, with k = 0. See `step_radau` for the step.
+A drive of damping d on a joint of little inertia settles at the rate N d, where N = ∂v̇/∂τ includes the active
+set; an explicit step is stable up to about five of the corresponding times. Newton's method uses the
+derivatives of the drive laws, ∂v̇/∂v = −N d and ∂v̇/∂q = −N k, with N at the start of the step. Viscous
+damping of a joint is such a law with k = 0.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from .radau import GAMMA, MATRIX, STAGES
 from .workspace import SceneWorkspace
 
 STIFF = 4.0
-"""Steps longer than this, times the rate at which the drives settle, are implicit in them."""
+"""Step size times the rate at which the drives settle above which a step is implicit in them."""
 
 SQUARE = MATRIX @ MATRIX
+"""Square of the Runge-Kutta matrix: weights of ξ from the rates of v."""
 
 
 @inlined
 def following(work):
-    """Return the velocities on which a linear law acts: drives within their efforts, and damping."""
+    """Return the velocities on which a linear law acts: drives within their effort limits, and damping."""
     side, stiffness = work.drive_side, work.drive_stiffness
     drive_damping, damping = work.drive_damping, work.damping
     held = work.modes[work.contacts + work.limits :]
@@ -43,7 +44,7 @@ def following(work):
 
 @inlined
 def law(work, j):
-    """Return stiffness and damping of the linear law of a velocity."""
+    """Return stiffness and damping of the linear law of velocity j."""
     if work.drive_side[j] != 0:
         return 0.0, work.damping[j]
     return work.drive_stiffness[j], work.drive_damping[j] + work.damping[j]
@@ -52,7 +53,7 @@ def law(work, j):
 @declared(SceneWorkspace, INTEGERS, FLOAT_ROWS)
 @external
 def respond(work, driven, response):
-    """Fill (k, nv) what a unit of each drive's force does to v̇ at the state last evaluated, with its M⁻¹."""
+    """Fill response (k, nv) with v̇ per unit force of each drive, at the state last evaluated with M⁻¹."""
     rows, effect, minverse = work.equation_rows, work.force_response, work.minverse
     n, size, count = len(minverse), len(rows), len(driven)
     targets, reactions, no_basis = np.empty((count, size)), np.empty((count, size)), np.empty((0, size))
@@ -75,7 +76,7 @@ def respond(work, driven, response):
 @declared(SceneWorkspace)
 @external
 def rate_of_drives(work):
-    """Return how fast the drives settle at the most, about [1/s], at the state last evaluated."""
+    """Return an estimate of the largest rate at which drives settle [1/s], at the state last evaluated."""
     if not work.stiff_joints:
         return 0.0
     driven = following(work)
@@ -95,14 +96,14 @@ def rate_of_drives(work):
 
 
 class Driven(NamedTuple):
-    """What the iteration knows of the k velocities on which a linear law acts.
+    """Data of the iteration for the k velocities on which a linear law acts.
 
     Attributes:
-        index: (k,) which they are.
-        response: (k, nv) v̇ for a unit of each force.
-        stiffness, damping: (k,) of the laws.
-        factors: (stages k, stages k) the system of the iteration, factorized.
-        order: (stages k,) of its rows.
+        index: (k,) their indices in v.
+        response: (k, nv) v̇ per unit of each force.
+        stiffness, damping: (k,) coefficients of the laws.
+        factors: (stages k, stages k) LU factors of the system of the iteration.
+        order: (stages k,) row order of the factors.
     """
 
     index: Any
@@ -122,7 +123,7 @@ def no_drives(work):
 
 @inlined
 def driven_at(work, t, h, stiff):
-    """Return the `Driven` at the start of a step, none if not `stiff`, and whether it could be found."""
+    """Return the `Driven` at the start of a step, empty unless `stiff`, and whether this succeeded."""
     n, s, index = work.nv, STAGES, following(work)
     if not stiff:
         index = index[:0]
@@ -153,11 +154,11 @@ def driven_at(work, t, h, stiff):
 
 @external
 def follow(h, driven, changes):
-    """Add to changes of the rates at the stages (stages, 2 nv or more) what drives change for them."""
+    """Add the response of the drives to changes of the stage rates, changes (stages, 2 nv or more)."""
     index, response, stiffness, damping, factors, order = driven
     k, n, s = response.shape[0], response.shape[1], len(changes)
     right, force = np.empty(s * k), np.empty((s, k))
-    # the change of the drives' forces that the change of the rates brings, first by what ξ̇ lacks
+    # change of the drive forces by the changes of the rates, first by those of ξ̇
     for i in range(s):
         for c in range(k):
             force[i, c] = 0.0
@@ -184,7 +185,7 @@ def follow(h, driven, changes):
 
 @external
 def relieve(h, driven, error):
-    """Divide an error of ξ and v (2 nv,) by 1 − γ h times the derivative of the rates by the laws."""
+    """Divide an error (2 nv,) of ξ and v by 1 − γ h times the derivative of the rates by the drive laws."""
     index, response, stiffness, damping, _, _ = driven
     k, n, step = response.shape[0], response.shape[1], GAMMA * h
     matrix, order, right = np.empty((k, k)), np.empty(k, dtype=np.int64), np.empty(k)

@@ -1,4 +1,4 @@
-"""The equations of changes of a motion at the stages of a collocation method. (derivatives.md, 9)"""
+"""Equations of variations δq, δv of a motion, at the stages of a collocation method. (derivatives.md, 9)"""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def stage_equations(
     Args:
         h: Length of the interval [s].
         nodes, weights, twice: c (s,), A and A² (s, s) of the method.
-        turned: (k,) the velocities of joints that turn.
-        force: (nv, n) changes of a generalized force that is constant.
+        turned: (k,) indices in v of joints that turn.
+        force: (nv, n) variations of a constant generalized force.
         by_state, response, inverse, by_friction, turning: See `slopes_along`.
-        x: (2 nv, n) changes at the start, the last by parameters.
+        x: (2 nv, n) variations at the start; the last columns are by parameters.
 
     Returns:
-        The matrix of the rates (s nv, s nv); their right-hand sides without those of the state, and for each
-        force of what is closed (s, nv, n + s m); the rows below v̇ by the rates (s (m or 2 m), s nv); the
-        changes at the stages without rates (s, 2 nv, n); and what rates add to δq where joints turn
-        (s, k, s, k).
+        The matrix of the rates (s nv, s nv); their right-hand sides without those by the state, and for unit
+        forces of the active rows (s, nv, n + s m); derivatives of the rows after v̇ with respect to the rates
+        (s (m or 2 m), s nv); variations at the stages without rates (s, 2 nv, n); and derivatives of δq of
+        joints that turn with respect to the rates (s, k, s, k).
     """
     stages, rows, nv = by_state.shape[0], by_state.shape[1], len(x) // 2
     m, n, first = response.shape[2], x.shape[1], x.shape[1] - by_friction.shape[2]
@@ -91,18 +91,18 @@ def stage_equations(
 def changes_at_end(
     h, weights, twice, modes, decay, power, turned, states, forces, inverse, start, moved, rates
 ):
-    """Return the changes (2 nv, n) after an interval, and an estimate of their relative error. (D24)
+    """Return the variations (2 nv, n) after an interval, and an estimate of their relative error. (D24)
 
-    The coefficients of the rates in Legendre polynomials are taken to decay as those of an exponential.
-    Errors by the state and by forces, the first columns, are relative to the largest change, or to that of a
-    free motion by a force: of what is held or has stopped only rounding is left.
+    The estimate assumes that the Legendre coefficients of the rates decay as those of an exponential. Errors
+    of the first columns, by the state and by forces, are relative to the largest variation, or to that of a
+    free motion under a force, since variations of held or stopped velocities are only rounding errors.
 
     Args:
         h, weights, twice, turned, inverse, start, moved: As in `stage_equations`.
-        modes: (s, s) these coefficients by values at the nodes.
-        decay, power: What follows from the last ones, see `sensitivities.Radau`.
+        modes: (s, s) Legendre coefficients by values at the nodes.
+        decay, power: Parameters of the extrapolation, see `sensitivities.Radau`.
         states, forces: Numbers of columns by states and by forces.
-        rates: (s nv, n).
+        rates: (s nv, n) rates of δv at the stages.
     """
     stages, nv, n = len(weights), start.shape[1] // 2, start.shape[2]
     half = (stages + 1) // 2
@@ -139,7 +139,7 @@ def changes_at_end(
     error = 0.0
     for c in range(n):
         size = by_states if c < states else by_forces if c < states + forces else sizes[c]
-        if high[c] > 0.0:  # not NaN either, which no shorter interval mends
+        if high[c] > 0.0:  # NaN is skipped: a shorter interval would not remove it
             found = h * decay * high[c] * (high[c] / max(low[c], TINY)) ** power
             error = max(error, found / max(size, TINY))
     return end, error
@@ -148,10 +148,10 @@ def changes_at_end(
 @declared(FLOAT_ROWS, FLOAT_ROWS, int, FLOAT_ROWS)
 @jit
 def stop(rows, response, first, x):
-    """Return changes after the least impulses that let some velocities vanish. (D26)
+    """Return the variations x (2 nv, n) after the least impulses that stop some velocities. (D26)
 
-    Rows (m, 2 nv) are these velocities by the changes x (2 nv, n), which become NaN where a velocity is;
-    impulses change by the response (nv, m) what is from row `first` on.
+    rows (m, 2 nv) are the derivatives of these velocities; NaN in one of them gives NaN in the result.
+    Impulses change x from row `first` on by response (nv, m).
     """
     m, n = len(rows), x.shape[1]
     matrix, missed, forces = np.zeros((m, m)), np.zeros((m, n)), np.zeros((n, m))
@@ -172,21 +172,21 @@ def stop(rows, response, first, x):
 
 @inlined
 def add(to, factor, values):
-    """Add a multiple of values (n,)."""
+    """Add factor · values (n,) to the array `to` (n,)."""
     for i in range(len(to)):
         to[i] += factor * values[i]
 
 
 @inlined
 def larger(to, values):
-    """Take magnitudes of values (n,) where they are larger."""
+    """Replace entries of `to` (n,) by the magnitudes of values (n,) where these are larger."""
     for i in range(len(to)):
         to[i] = max(to[i], abs(values[i]))
 
 
 @inlined
 def _turn(h, weights, twice, turned, turning, start):
-    """Change δq (s, nv, n) where joints turn; return what rates of velocities change of it (s, k, s, k)."""
+    """Correct δq of joints that turn, in start (s, 2 nv, n); return its derivative by rates (s, k, s, k)."""
     stages, size = len(turning), len(turned)
     matrix, order = np.empty((stages * size, stages * size)), np.empty(stages * size, dtype=np.int64)
     for i in range(stages):

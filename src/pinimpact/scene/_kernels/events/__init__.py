@@ -1,6 +1,6 @@
-"""What ends a smooth motion, one event a module.
+"""Events that end a smooth motion, one per module.
 
-Each module has `CONSEQUENCE`, what happens then; `value(work, i, t)`, the function that falls below zero,
-with its rate where there is one; `bound(work, i)` of its motion where its rate is known; and
-`first(work, end)`, which finds when it first does so in the step last completed, and which one.
+Each module has `CONSEQUENCE`; `value(work, i, t)`, the function whose fall below zero is the event, and its
+rate (zero if unknown); `bound(work, i)`, bounds of its motion if the rate is known; and `first(work, end)`,
+which returns time and index of the first event in the last completed step.
 """

@@ -1,5 +1,5 @@
-"""What can happen at an event."""
+"""Consequences of events."""
 
 ARRIVAL, MODE_CHANGE, SIDE_CHANGE = range(3)
-"""A contact or limit arrives at its surface or bound, and may bounce; the modes are to be set again; or a
-drive comes to the bound of its effort or leaves it."""
+"""A contact or joint arrives at its surface or limit, and may bounce; the modes are chosen again; a drive
+reaches or leaves its effort limit."""

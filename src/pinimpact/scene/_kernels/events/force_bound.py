@@ -1,4 +1,4 @@
-"""The forces of what is closed leave what their modes allow: a contact opens or slips, a joint moves."""
+"""Forces of the active set leave their bounds: a contact opens or slips, a joint starts to move. (11.6)"""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONSEQUENCE = MODE_CHANGE
 
 @inlined
 def value(work, _, t):
-    """Return by how much forces can keep to what their modes allow, at the state that is set."""
+    """Return the force margin at the state set in the workspace [N]."""
     evaluate(work, t, np.empty(len(work.v) + 4))
     return max(margin_of_forces(work, 0.0), -1e300), 0.0
 
@@ -28,10 +28,10 @@ def value(work, _, t):
 @declared(SceneWorkspace, float)
 @jit
 def margin_of_forces(work, enough):
-    """Return by how much forces can keep to what their modes allow, at the state last evaluated.
+    """Return the force margin (11.6) at the state last evaluated, plus `force_tolerance` [N].
 
-    It is forces with the same motion that count, see `force_choice`, and those that are found are kept.
-    Others than those that act are looked for where the margin of these is not `enough`.
+    If that of the present forces is below `enough`, it is maximized over all forces with the same motion, and
+    the maximizing forces are stored in `inner_forces`.
     """
     margin = work.force_margin
     if margin < enough and not work.forces_unique:
@@ -45,7 +45,7 @@ first_fall = search_for_fall(value)
 @declared(SceneWorkspace, float)
 @external
 def first(work, end):
-    """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""
+    """Return the first time until `end` at which forces leave their bounds, or infinity; and index 0."""
     if work.active_contacts + work.active_scalars == 0 or work.force_bound_ignored:
         return math.inf, 0
     if clear_of_zero(work.sample_times, work.sample_margins, work.samples):

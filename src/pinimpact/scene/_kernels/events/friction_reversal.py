@@ -16,7 +16,7 @@ CONSEQUENCE = MODE_CHANGE
 
 @inlined
 def value(work, j, t):
-    """Return the joint's velocity against its dry friction at the state that is set."""
+    """Return the velocity of joint j against its dry friction at the state set in the workspace."""
     return math.copysign(work.v[j], work.v[j] * work.sliding_friction[j]), 0.0
 
 
@@ -26,11 +26,11 @@ first_fall = search_for_fall(value)
 @declared(SceneWorkspace, float)
 @external
 def first(work, end):
-    """Return the first time before `end` at which a joint comes to rest, infinite if none does; and which."""
-    sliding, v0, slowest, change = work.sliding_friction, work.v0, work.rate_bounds[1], work.step_length
+    """Return the first time before `end` at which a joint comes to rest, or infinity; and its index in v."""
+    sliding, v0, peak_rates, h = work.sliding_friction, work.v0, work.rate_bounds[1], work.step_length
     time, which = math.inf, 0
     for j in range(len(v0)):
-        if sliding[j] != 0.0 and not abs(v0[j]) > SAFETY * change * slowest[j]:
+        if sliding[j] != 0.0 and not abs(v0[j]) > SAFETY * h * peak_rates[j]:
             speed = max(abs(v0[j]), abs(work.v1[j]))
             found = first_fall(work, j, end, work.atol + work.rtol * speed)
             if found < end:

@@ -20,16 +20,15 @@ from .consequences import ARRIVAL
 CONSEQUENCE = ARRIVAL
 
 SAFETY = 1.5
-"""Factor on the bounds of a motion, which come from the stages of the step."""
-
+"""Factor on the bounds of a motion, which are samples at the stages of the step. (theory.md, 10)"""
 
 CLEAR = -1.0
-"""In place of a bound: the gap is known not to close."""
+"""Value of `gap_bounds[i, 0]` for a gap that provably does not close."""
 
 
 @inlined
 def value(work, i, t):
-    """Return gap and gap rate of a contact at the state that is set."""
+    """Return gap [m] and gap rate [m/s] of contact i at the state set in the workspace."""
     compute_kinematics(work)
     return contact_gap(work, i)
 
@@ -40,10 +39,10 @@ first_closing = search_for_closing(value)
 @declared(SceneWorkspace, int, FLOATS, float, FLOATS)
 @external
 def bound(work, i, constants, reach, out):
-    """Fill the bounds of the motion of contact i over the step (4,), see `gap_bounds.curvatures`.
+    """Fill out (4,) with the bounds of the motion of contact i over the step, see `gap_bounds.curvatures`.
 
-    The constants are its own, or those of a sphere that bounds it; `reach` is zero, or the sphere's radius
-    for the bounds of all tips in it [m].
+    `constants` are those of the contact or of its bounding sphere; `reach` is zero, or the radius of the
+    sphere for bounds that hold for all tips in it [m].
     """
     set_signs(work, i)
     size, change, speed = contact_motion.bounds(
@@ -58,7 +57,7 @@ def bound(work, i, constants, reach, out):
 
 @inlined
 def bound_contact(work, i):
-    """Leave the bounds of the motion of a contact."""
+    """Fill `gap_bounds` of contact i, and `turning_bounds` if it is a rim."""
     constants = work.contact_constants[i]
     bound(work, i, constants, 0.0, work.gap_bounds[i])
     if constants[RIM] > 0.0:
@@ -70,7 +69,7 @@ def bound_contact(work, i):
 
 @inlined
 def stays_off(work, first, k):
-    """Whether a sphere that bounds contacts provably stays off its surface over the step."""
+    """Return whether bounding sphere k, with first contact `first`, provably stays off its surface."""
     start, end, bounds = work.start_spheres[k], work.end_spheres[k], work.sphere_bounds[k]
     if start[0] <= 0.0 or end[0] <= 0.0:
         return False
@@ -81,7 +80,7 @@ def stays_off(work, first, k):
 
 @inlined
 def tip_stays_off(work, i, bounds):
-    """Whether a point or sphere provably stays off its surface, by bounds of all tips around it."""
+    """Return whether tip i, unless a rim, provably stays off its surface, by the bounds of its sphere."""
     start, end = work.start_gaps[i], work.end_gaps[i]
     if start[0] == math.inf or end[0] == math.inf or work.contact_constants[i, RIM] > 0.0:
         return False
@@ -91,21 +90,21 @@ def tip_stays_off(work, i, bounds):
 
 
 @inlined
-def look_at_blocks(work):
-    """Leave bounds of the motion of all contacts that may touch, and their gaps at the ends of the step.
+def fill_bounds(work):
+    """Fill bounds of the motion, and gaps at both ends of the step, of all contacts that may close.
 
-    The contacts of a sphere that stays off its surface need none, nor do those that stay off by its bounds.
+    Contacts whose sphere stays off its surface, or that stay off by its bounds, need neither.
     """
     modes, blocks, clears, spheres = work.modes, work.contact_blocks, work.clear_blocks, work.sphere_bounds
     joints = work.contact_joints
     for b in range(len(blocks)):
         first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
         clears[b] = 0
-        still = joints[first, 0] == joints[first, 1]  # as where two shapes have room to touch, but do not
+        still = joints[first, 0] == joints[first, 1]  # for example reserved for shapes that are apart
         if still or (k >= 0 and stays_off(work, first, k)):
             clears[b] = 1
             continue
-        if k >= 0:  # of each of the tips in it, for most are well off
+        if k >= 0:  # common bounds first: most of its tips are far from the surface
             bound(work, first, work.sphere_constants[k], work.sphere_constants[k, RADIUS], spheres[k])
         for i in range(first, stop):
             if modes[i] == FREE:
@@ -120,7 +119,7 @@ def look_at_blocks(work):
 @declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @external
 def complete_gaps(work, q, v, gaps):
-    """Fill the gaps at a state that `contact_gaps` has not looked at, of the blocks that are not clear."""
+    """Fill the gaps (n, 2) at a state that `contact_gaps` has left out, of blocks that are not clear."""
     blocks, clears = work.contact_blocks, work.clear_blocks
     moved = False
     for b in range(len(blocks)):
@@ -138,13 +137,13 @@ def complete_gaps(work, q, v, gaps):
 @declared(SceneWorkspace, float)
 @external
 def first(work, end):
-    """Return the first time until `end` at which a gap closes, infinite if none does; and whose."""
+    """Return the first time until `end` at which a gap closes, or infinity; and its contact."""
     modes, blocks, clears = work.modes, work.contact_blocks, work.clear_blocks
     start_gaps, end_gaps = work.start_gaps, work.end_gaps
     time, which = math.inf, 0
     if len(blocks) == 0:
         return time, which
-    look_at_blocks(work)  # before `value` moves the kinematics
+    fill_bounds(work)  # before `value` changes the kinematics
     for b in range(len(blocks)):
         if clears[b] != 0:
             continue

@@ -1,4 +1,4 @@
-"""A joint reaches a limit that is open."""
+"""A joint reaches a limit that is not active."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONSEQUENCE = ARRIVAL
 
 @inlined
 def value(work, k, t):
-    """Return distance from the limit and its rate at the state that is set."""
+    """Return gap [m] and gap rate [m/s] of limit k at the state set in the workspace."""
     return limit_gap(work, k, work.q, work.v)
 
 
@@ -26,7 +26,7 @@ first_closing = search_for_closing(value)
 
 @inlined
 def bound(work, k):
-    """Fill the bounds of the motion over the step, see `gap_bounds.curvatures`; a limit is flat."""
+    """Fill `limit_bounds` of limit k over the step, see `gap_bounds.curvatures`; limits have no curvature."""
     bounds, rates, j = work.limit_bounds, work.rate_bounds, work.limit_v[k]
     scale = SAFETY * work.joint_metres[j]
     bounds[k, 0], bounds[k, 1], bounds[k, 2], bounds[k, 3] = (
@@ -40,7 +40,7 @@ def bound(work, k):
 @declared(SceneWorkspace, float)
 @external
 def first(work, end):
-    """Return the first time until `end` at which a limit is reached, infinite if none is; and which."""
+    """Return the first time until `end` at which a limit is reached, or infinity; and its number."""
     closed = work.modes[work.contacts :]
     time, which = math.inf, 0
     for k in range(work.limits):

@@ -1,4 +1,4 @@
-"""The effort of a drive reaches its bound, or leaves it."""
+"""The effort of a drive reaches or leaves its limit."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ CONSEQUENCE = SIDE_CHANGE
 
 @inlined
 def value(work, i, t):
-    """Return how far the law of a drive keeps to its side of the bound, at the state that is set.
+    """Return the distance of a drive's law from the effort limit, on its side, at the state set.
 
-    Below nv, i is a velocity, and the bound the upper one where the drive follows its law; beyond, the lower
-    one.
+    i < nv is a velocity and, while the drive follows its law, the upper limit; i − nv ≥ 0 is a velocity and
+    the lower limit.
     """
     n = len(work.v)
     j, sign = (i, 1.0) if i < n else (i - n, -1.0)
@@ -34,7 +34,7 @@ first_fall = search_for_fall(value)
 
 @external
 def first(work, end):
-    """Return the first time before `end` at which a drive changes its side, infinite if none; and which."""
+    """Return the first time before `end` at which a drive reaches or leaves its limit, or infinity; and i."""
     q0, v0, side, bounds, h = work.q0, work.v0, work.drive_side, work.rate_bounds, work.step_length
     time, which = math.inf, 0
     for j in work.drive_velocity:

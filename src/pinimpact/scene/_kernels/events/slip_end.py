@@ -1,4 +1,4 @@
-"""The slip of a contact comes to an end: it reverses along the direction last known."""
+"""Slip of a contact ends: its speed along the reference direction falls below zero. (theory.md, 11.6)"""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONSEQUENCE = MODE_CHANGE
 
 @inlined
 def value(work, k, t):
-    """Return the speed of slip along the direction last known, at the state that is set."""
+    """Return the speed of contact k along its reference direction at the state set in the workspace [m/s]."""
     evaluate(work, t, np.empty(len(work.v) + 4))
     return along(work, k, work.contact_velocity), 0.0
 
@@ -31,7 +31,7 @@ value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_
 
 @inlined
 def first_against(work, k):
-    """Return the first time within a step of `step_radau` at which slip goes against its friction."""
+    """Return the first sample time within a step of `step_radau` at which slip is reversed, or infinity."""
     slip, times = work.sample_slip, work.sample_times
     least = behind(work)
     for i in range(1, work.samples - 1):
@@ -43,11 +43,11 @@ def first_against(work, k):
 @declared(SceneWorkspace, float)
 @external
 def first(work, end):
-    """Return the first time before `end` at which a slip ends, infinite if none; and which.
+    """Return the first time before `end` at which a slip ends, or infinity; and its active contact.
 
-    Minus infinity asks for a shorter step: where the speed along vanishes there is slip across, so within the
-    step the direction has turned too far to be followed. Slip whose direction a step before has left behind
-    ends at the start, to be given another one.
+    Minus infinity requests a shorter step: the direction of slip has turned too far within the step to be
+    followed. Slip that is already reversed at the start of the step ends there, so that it gets another
+    direction.
     """
     mode, mu, velocity = work.active_mode, work.active_friction, work.contact_velocity
     start, last = work.step_start, work.step_start + work.step_length
@@ -58,7 +58,7 @@ def first(work, end):
         set_directions_within(work, 1.0)
         end_speed = along(work, k, work.end_velocity)
         if work.step_turns:
-            # slip that begins may turn as far as it likes; what counts is where it is when it has begun
+            # incipient slip may turn by any angle in its first step: only reversal counts
             later, until = last, first_against(work, k)
             if end_speed >= -behind(work) and until == math.inf:
                 continue
@@ -70,7 +70,7 @@ def first(work, end):
             elif end_speed >= -behind(work):
                 continue
             if start_speed <= 0.0:
-                # either a step before has left it there, or friction drives
+                # slip of a previous step, or fast enough, has reversed; incipient slip needs a shorter step
                 speed = math.hypot(velocity[k, 0], velocity[k, 1])
                 moved = work.previous_length > 0.0 or speed > work.certain_speed
                 return (start if moved else -math.inf), k
