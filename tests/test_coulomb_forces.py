@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact.scene._kernels import contact_forces
-from pinimpact.scene._kernels.acting_forces import driven_in, find_forces
+from pinimpact.scene._kernels.acting_forces import jammed_contact, find_forces
 
 
 @numba.njit
@@ -523,7 +523,7 @@ def test_a_joint_that_has_been_held_beside_slip_stays_so_where_it_could_move():
 @numba.njit
 def driven(delassus, free, slip, mu, held, x):
     """Call the kernel, which only kernels can."""
-    return driven_in(delassus, free, slip, mu, held, x)
+    return jammed_contact(delassus, free, slip, mu, held, x)
 
 
 def test_slip_drives_a_surface_in_where_no_force_of_its_own_helps():
