@@ -1,7 +1,7 @@
-"""Tolerances of impacts. Each says what it is a part of, or its unit, and why it has its size.
+"""Tolerances of impacts.
 
-Impacts at many contacts are scaled: the largest velocity is one, and the largest κ W₃₃. Their clock, speeds,
-accelerations and forces are then of order one.
+Impacts at several contacts are scaled so that the largest velocity and the largest κ W₃₃ are one. Clock,
+speeds, accelerations and forces are then of order one.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE
 # ---- one contact
 
 WELL_CONDITIONED = 1e-6
-"""det W over (tr W)³ above which what is small in W has nine digits or more without a factor; W is regular
-above `ROUNDING`: det W ≤ λ_min (tr W)²/4."""
+"""det W over (tr W)³ above which the small eigenvalues of W are accurate to nine digits without a factor. W
+is regular above `ROUNDING`: det W ≤ λ_min (tr W)²/4."""
 
 ROOT = 1e-9
-"""Part of a root by which another number differs from it and is it: at an extremum of v₃ the square of that
-counts, and Newton's method leaves its square."""
+"""Relative tolerance of a root: the error after one more step of Newton's method, and the change of v₃ up to
+its extremum, are the square of this."""
 
 HALLEY = 2.0 * ROOT ** (2.0 / 3.0)
-"""The same for Halley's method, which leaves its cube."""
+"""Relative tolerance of a root by Halley's method, whose next error is the cube of this."""
 
 CLOSE_TO_JUMP = 1e-2
 """Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
@@ -28,67 +28,66 @@ NEAR_THRESHOLD = 1e-6
 """Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
 
 ROOM = 1.0 + COMPUTED
-"""How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
+"""Tolerance of the friction cone for the impulse that sets v_t to zero: rounding."""
 
 COINCIDENT = COMPUTED
-"""Distance of two events, over all of P₃, and of μ from the stick threshold, over μ, up to which rounding
-decides what derivatives hold."""
+"""Distance of two events relative to the total P₃, and relative distance of μ to the stick threshold, below
+which rounding decides which derivatives apply."""
 
 FLAT = HALF_DIGITS
-"""Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby. It
-is the root of how far that is."""
+"""Rate or velocity at an event, over its scale, below which v⁺ nearly jumps or has an unbounded slope; the
+distance to the singularity is the square of this."""
 
 NEAR_LIMIT = 1e-4
-"""Distance of slopes from their limit to one side, over their size, from which on the limit is known, to
-about the square of that."""
+"""Relative distance of slopes to their one-sided limit from which the limit is extrapolated; its error is
+about the square of this."""
 
 TAIL = NOISE
-"""Angle, or part of the path times angle, by which slip still turns where its derivatives are those of
+"""Remaining angle of slip [rad], or angle times part of the path, below which its derivatives are those of
 straight slip."""
 
 # ---- many contacts, from event to event
 
 NEGLIGIBLE = COMPUTED
-"""Part by which forces, accelerations, pivots, tangential velocities and times of events may differ and
-be one: they are sums of terms of order one, or come from velocities and W of a robot with their
-rounding. Shorter steps are not taken. And part of the largest bound below which friction does not matter."""
+"""Differences of forces, accelerations, pivots, tangential velocities and times of events that are taken as
+zero: rounding of terms of order one, or of velocities and W of a robot. It is also the smallest step size,
+and the friction bound, over the largest, below which friction is neglected."""
 
 SLOW = 1e-10
-"""A speed, in parts of the largest, at which what was held is not; and of an approach that is rest."""
+"""Speed above which a contact is no longer held or sticking, and below which an approach is taken as rest."""
 
 STOPS = HALF_DIGITS
-"""A slip below this speed that runs straight at zero is taken there in one step, of second order."""
+"""Slip speed below which slip on a straight line to zero ends in one step of second order."""
 
 SLIP_SPEED = NOISE
-"""The speed at which a slip begins, in parts of the largest velocity: a perturbation of rounding's size."""
+"""Initial speed of incipient slip: a perturbation of the size of rounding."""
 
 AHEAD = 1e-6
-"""How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
+"""Time ahead at which forces are compared, so that their first terms decide where all start at zero."""
 
 UNTURNED = LITTLE
-"""How far ahead that is at most, in the unit of the clock in which slow slip turns slowly."""
+"""Largest such time, over the time in which slow slip turns."""
 
 SAME = AHEAD
-"""Part of the largest force by which forces that hold the same differ; and of a bound within which friction
-is at it: what `AHEAD` lets forces change."""
+"""Difference of equal forces, over the largest, and relative distance of friction to its bound within which
+it is at it: the change of forces within `AHEAD`."""
 
 OPTIMAL = COMPUTED**2
-"""Gap of the convex programs of friction, of order one, whose solution is then right to its root: they go on
-to the last step that double precision allows."""
+"""Duality gap of the convex programs of friction, of order one; the error of the solution is its root. They
+iterate up to the limit of double precision."""
 
 # ---- many contacts, by steps and all at once
 
 FOUND = 1e-8
-"""What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
+"""Tolerance of the residual of Coulomb's law, over the largest velocity."""
 
 MISSED = 1e-6
-"""Part of velocities, impulses and works that may be missed or gained, before waves count as lost; and of the
-largest velocity that an approach may keep after a plastic impact, where forces are large."""
+"""Largest relative residual of velocities, impulses and energy of a propagation that is accepted; and the
+largest speed of approach after a plastic impact, over the largest velocity, since forces may be large."""
 
 AGREE = 0.1 * MISSED
-"""Part of the largest velocity to which plastic ends and extrapolations to e = 0 agree that are taken for the
-same, and that a step may miss at the most; unless less is asked."""
+"""Difference, over the largest velocity, below which plastic ends, or extrapolations to e = 0, are taken as
+equal; and the largest default tolerance of a step."""
 
 BY_STEPS, FINEST = 0.2 * AGREE, 2.0 * NOISE
-"""Part of the largest velocity that an integration by steps may miss, unless another is asked; and what a
-step may miss at least."""
+"""Default accuracy of an integration by steps, and least tolerance of a step, over the largest velocity."""

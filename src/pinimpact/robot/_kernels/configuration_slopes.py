@@ -1,8 +1,8 @@
-"""How M x, J x and JᵀP change with the configuration. (derivatives.md, 5)
+"""Derivatives of M x, J x and JᵀP by the configuration. (derivatives.md, 5)
 
-A change δq_k turns all that joint k carries by the motion J_k, at fixed x. So a velocity of a body beyond k
-changes by J_k × (V − V_below), where V_below is that of the joint that k stands on. All vectors are in world
-axes; motions and forces are (linear, angular) at the point that places are measured from.
+A change δq_k displaces all bodies carried by joint k by the motion J_k. At fixed x the velocity V of such a
+body changes by J_k × (V − V_below), with V_below that of the parent of k. All vectors are in world axes;
+motions and forces are (linear, angular) at the origin.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from .contact_motion import rates_at_contact
 from .placement import cross, direction, place
 
 AXES, POINT, ORIGIN, MATERIAL, SPIN, TURNS, PLACE = 0, 9, 12, 15, 18, 21, 22
-"""Where a contact is: its axes as rows (9); the contact point, the surface's point, what its material does
-there beyond its carrier, and its spin (3 each); whether vectors have components along the axes, or in the
-world."""
+"""Layout of the place of a contact: axes as rows (9); contact point, point of the surface, velocity of the
+surface material relative to its carrier there, and its angular velocity (3 each); whether components of
+vectors are along the contact axes (1) or the world axes (0)."""
 
 TURN, TIP, CARRIER, SHIFT = 6, 9, 10, 11
-"""What each q_k does to it: how the contact point and the surface's point move and the axes turn (3 each),
-and whether it moves the tip and the surface, 1 or 0."""
+"""Layout of its derivatives by each q_k: motion of the contact point and of the point of the surface, and
+rotation of the axes (3 each); whether q_k moves the tip and the surface, 1 or 0."""
 
 
 @declared(
@@ -32,11 +32,17 @@ and whether it moves the tip and the surface, 1 or 0."""
 )
 @jit
 def fill_place(R, S, k, axes, turns, J, joint, parent, tip, base, at, shifts):
-    """Fill where a contact is, and how that moves with q. (D19)
+    """Compute the place of a contact and its derivatives by q. (D19)
 
-    R and S (12,) are placements of the bodies of tip and surface, in whose axes the constants k are; axes
-    (9,) t₁, t₂, n in the world. With `turns` vectors have components along the axes. J, joint, parent as in
-    `fill_motions`; tip and base are the joints. `at` is (PLACE,), shifts (nv, SHIFT) or without rows.
+    Args:
+        R, S: (12,) placements of the bodies of tip and surface.
+        k: Constants of the contact in their axes.
+        axes: (9,) t₁, t₂, n in world axes.
+        turns: Whether components of vectors are along the contact axes.
+        J, joint, parent: As for `fill_motions`.
+        tip, base: Joints of tip and surface.
+        at: (PLACE,) is overwritten with the place.
+        shifts: (nv, SHIFT) is overwritten with its derivatives; (0, SHIFT): not needed.
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     _, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
@@ -78,7 +84,7 @@ def motion_cross(J, k, v1, v2, v3, w1, w2, w3):
 
 @inlined
 def _turned_by(J, k, f1, f2, f3, n1, n2, n3):
-    """Return how a force (6) changes that turns by J_k: (J_k × x)·f = −x·this."""
+    """Return the change (6) of a force f that is displaced by J_k: (J_k × x)·f = −x·(the change)."""
     n1, n2, n3, f1, f2, f3 = motion_cross(J, k, n1, n2, n3, f1, f2, f3)
     return f1, f2, f3, n1, n2, n3
 
@@ -86,10 +92,14 @@ def _turned_by(J, k, f1, f2, f3, n1, n2, n3):
 @declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, FLOATS, FLOAT_ROWS)
 @jit
 def fill_motions(J, joint, parent, x, out):
-    """Fill the motions (joints, 6) of all joints for the velocities x (nv,); the first is the world's.
+    """Compute the motions of all joints for the velocities x (nv,).
 
-    J (6, nv) are the motions of the velocities, joint (nv,) their joints, parent (joints,) those they stand
-    on.
+    Args:
+        J: (6, nv) motion of each velocity, the joint Jacobian.
+        joint: (nv,) joint of each velocity.
+        parent: (joints,) parent joints.
+        x: (nv,) velocities.
+        out: (joints, 6) is overwritten with the motions; the first is that of the world.
     """
     out[0, :] = 0.0
     k = 0
@@ -104,7 +114,7 @@ def fill_motions(J, joint, parent, x, out):
 
 @inlined
 def _momentum(inertia, i, v1, v2, v3, w1, w2, w3):
-    """Return the force (6) that an inertia (mass, first moment, xx, xy, yy, xz, yz, zz) makes of a motion."""
+    """Return the momentum (6) of a motion, for an inertia (mass, first moment, xx, xy, yy, xz, yz, zz)."""
     m, c1, c2, c3 = inertia[i, 0], inertia[i, 1], inertia[i, 2], inertia[i, 3]
     x1, x2, x3 = cross(w1, w2, w3, c1, c2, c3)
     y1, y2, y3 = cross(c1, c2, c3, v1, v2, v3)
@@ -116,7 +126,7 @@ def _momentum(inertia, i, v1, v2, v3, w1, w2, w3):
 
 @inlined
 def _of_velocity(J, joint, inertia, k, x):
-    """Return the force (6) that makes all that velocity k carries move by J_k x."""
+    """Return the momentum (6) of all bodies that velocity k carries, for the motion J_k x."""
     return _momentum(
         *(inertia, joint[k], J[0, k] * x, J[1, k] * x, J[2, k] * x, J[3, k] * x, J[4, k] * x, J[5, k] * x)
     )
@@ -124,13 +134,13 @@ def _of_velocity(J, joint, inertia, k, x):
 
 @inlined
 def fill_momenta(J, joint, parent, inertia, x, motions, out):
-    """Fill the momentum (joints, 6) of all that each joint carries, with `inertia` as in `mass_slopes`.
+    """Fill the momentum (joints, 6) of all bodies that each joint carries, for velocities x (nv,).
 
-    x (nv,) are the velocities, with these motions of the joints.
+    `motions` (joints, 6) are those of x; other arguments as for `mass_slopes`.
     """
     out[:, :] = 0.0
     last = len(joint) - 1
-    for i in range(len(parent) - 1, 0, -1):  # what is beyond i first, then with what i moves itself
+    for i in range(len(parent) - 1, 0, -1):  # descendants first
         beyond = out[parent[i]]
         for r in range(6):
             beyond[r] += out[i, r]
@@ -147,7 +157,7 @@ def fill_momenta(J, joint, parent, inertia, x, motions, out):
 
 @inlined
 def _carries(parent, i, j):
-    """Whether joint i is joint j or one that it stands on."""
+    """Return whether joint i is joint j or an ancestor of it."""
     while j > i:
         j = parent[j]
     return j == i
@@ -155,11 +165,15 @@ def _carries(parent, i, j):
 
 @inlined
 def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
-    """Fill out (nv, nv) with ∂(M x)/∂q. (D18)
+    """Compute ∂(M x)/∂q. (D18)
 
-    J, joint, parent as in `fill_motions`; before (nv,) is the next velocity towards the root, or −1; inertia
-    (joints, 10) of all that each carries is mass, first moment, xx, xy, yy, xz, yz, zz; motions and momenta
-    (joints, 6) are those of x.
+    Args:
+        J, joint, parent: As for `fill_motions`.
+        before: (nv,) next velocity towards the root, or −1.
+        inertia: (joints, 10) mass, first moment, xx, xy, yy, xz, yz, zz of all bodies that each joint
+            carries.
+        motions, momenta: (joints, 6) those of x.
+        out: (nv, nv) is overwritten with the derivative.
     """
     out[:, :] = 0.0
     bends = np.empty((len(joint), 6))
@@ -191,9 +205,14 @@ def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
 @declared(*(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS, bool, FLOAT_ROWS))
 @jit
 def velocity_slopes(J, joint, parent, tip, base, at, shifts, motions, relative, out):
-    """Fill out (3, nv) with ∂(J x)/∂q, if `relative` less what the surface does beyond its carrier. (D19)
+    """Compute ∂(J x)/∂q, or with `relative` ∂(J x − v_surface)/∂q. (D19)
 
-    J, joint, parent as in `fill_motions`; tip, base, at, shifts as in `fill_place`; motions (joints, 6) of x.
+    Args:
+        J, joint, parent: As for `fill_motions`.
+        tip, base, at, shifts: As for `fill_place`.
+        motions: (joints, 6) those of x.
+        relative: Whether the velocity of the surface is subtracted.
+        out: (3, nv) is overwritten with the derivative.
     """
     moving, carrying = motions[tip], motions[base]
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]
@@ -243,9 +262,9 @@ def velocity_slopes(J, joint, parent, tip, base, at, shifts, motions, relative, 
 @declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, FLOATS, FLOAT_ROWS, float, float, float, FLOAT_ROWS)
 @jit
 def force_slopes(J, joint, parent, at, shifts, f1, f2, f3, out):
-    """Add ∂(JᵀP)/∂q (nv, nv) for an impulse f in the world that turns with the axes, or does not. (D20)
+    """Add ∂(JᵀP)/∂q to `out` (nv, nv), for an impulse (f1, f2, f3) in world axes. (D20)
 
-    Other arguments as in `velocity_slopes`.
+    The impulse rotates with the contact axes if `at[TURNS]` is 1. Other arguments as for `velocity_slopes`.
     """
     nv = len(joint)
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]
@@ -278,7 +297,7 @@ def force_slopes(J, joint, parent, at, shifts, f1, f2, f3, out):
 
 @inlined
 def turn_slopes(shifts, f1, f2, f3, out):
-    """Fill how a vector f (3) fixed in the contact axes changes with q, (3, nv) in world axes. (D19)"""
+    """Fill the derivative by q (3, nv), in world axes, of a vector f (3) fixed in the contact axes. (D19)"""
     for k in range(len(shifts)):
         out[0, k], out[1, k], out[2, k] = cross(
             shifts[k, TURN], shifts[k, TURN + 1], shifts[k, TURN + 2], f1, f2, f3

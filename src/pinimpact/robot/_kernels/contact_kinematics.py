@@ -1,10 +1,14 @@
 """Contact axes, contact point, gap and Jacobian of a contact, for impacts and for scenes.
 
-The tip is a sphere (or a point) about c, the surface is anything with a signed distance d. With n = ∇d at c
-the gap is d(c) − r and the contact point p = c − r n. A tip with a rim, a circle of radius ρ and axis u about
-c₀ that makes contact with planes only, has its lowest point instead of c: c = c₀ − ρ n_u/|n_u| with n_u = n −
-(n·u)u. A tip that is an edge, a line of direction u through c₀, makes contact with an edge, a line of
-direction e on the surface: then n = u × e/|u × e|, and c is the point of the one closest to the other.
+The tip is a sphere of radius r (0 for a point) about c, the surface is given by its signed distance d. With n
+= ∇d at c the gap is d(c) − r and the contact point p = c − r n. Two tips have another c:
+
+- a rim, a circle of radius ρ and axis u about c₀, in contact with planes only: c is its lowest point
+  c₀ − ρ n_u/|n_u| with n_u = n − (n·u)u;
+- an edge, a line of direction u through c₀, in contact with an edge of direction e on the surface: c is its
+point
+  closest to the other edge, and n = u × e/|u × e|.
+
 Placements are twelve numbers, see `placement`; k are the constants of the contact, see `constants`.
 """
 
@@ -23,10 +27,11 @@ from .placement import cross, direction, place, pose, rotate, rotate_back
 
 @inlined
 def carried_axes(k, n1, n2, n3):
-    """Return t₁ and t₂ (3 + 3) in the carrier's axes: a₁ and a₂ after the smallest rotation a₃ → n.
+    """Return t₁ and t₂ (3 + 3) in the axes of the carrier: a₁ and a₂ after the smallest rotation a₃ → n.
 
-    a₁, a₂, a₃ are the axes in the constants, which `follow` n. So a scene's axes move with the surface and
-    along it without a jump; those of an impact, `contact_axes` of n in world axes, jump where n passes −z.
+    a₁, a₂, a₃ are the axes in the constants, which `follow` updates. So the axes of a scene are continuous
+    along the surface and move with it; those of an impact, `contact_axes` of n in world axes, jump where n
+    passes −z.
     """
     a1, a2, a3 = k[layout.AXES], k[layout.AXES + 1], k[layout.AXES + 2]
     b1, b2, b3 = k[layout.AXES + 3], k[layout.AXES + 4], k[layout.AXES + 5]
@@ -39,9 +44,9 @@ def carried_axes(k, n1, n2, n3):
 
 @inlined
 def carried_spin(k, n1, n2, n3, m1, m2, m3):
-    """Return the angular velocity (3) of `carried_axes` with n, for ṅ = m.
+    """Return the angular velocity (3) of `carried_axes` for ṅ = m, n × ṅ − n (a₃·(n × ṅ))/(1 + a₃·n).
 
-    It is n × ṅ − n (a₃·(n × ṅ))/(1 + a₃·n), for the axis of their rotation stays at right angles to a₃.
+    It follows from the axis of their rotation being perpendicular to a₃.
     """
     e1, e2, e3 = k[layout.AXES + 6], k[layout.AXES + 7], k[layout.AXES + 8]
     w1, w2, w3 = cross(n1, n2, n3, m1, m2, m3)
@@ -68,9 +73,9 @@ def follow(R, S, k):
 
 @inlined
 def towards_plane(R, S, k):
-    """Return n_u (3), the part of a plane's normal that lies in the plane of a rim, and its length.
+    """Return n_u (3), the component of a plane's normal in the plane of a rim, and its length.
 
-    As (u × n) × u, which loses no digits where the rim lies flat on the plane and the length vanishes.
+    It is computed as (u × n) × u, without cancellation as the rim becomes parallel to the plane.
     """
     u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
     n1, n2, n3 = direction(S, k, layout.AXES + 6)
@@ -81,10 +86,7 @@ def towards_plane(R, S, k):
 
 @inlined
 def relative(R, S, k):
-    """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3).
-
-    For a rim it is the lowest point, see `towards_plane`; for an edge the point closest to the other edge.
-    """
+    """Return c (3) in world axes, and relative to the point of the surface in the axes of the carrier (3)."""
     c1, c2, c3 = place(R, k, layout.TIP)
     if k[layout.RIM] > 0.0:
         e1, e2, e3, s = towards_plane(R, S, k)
@@ -108,14 +110,14 @@ def relative(R, S, k):
 
 @inlined
 def edge_axis(R, S, k):
-    """Return the direction (3) of a tip that is an edge, in the axes of the surface's carrier."""
+    """Return the direction (3) of a tip that is an edge, in the axes of the carrier of the surface."""
     u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
     return rotate_back(S, u1, u2, u3)
 
 
 @inlined
 def distance(R, S, k, x1, x2, x3):
-    """Return the signed distance of the tip's centre at x from the surface, and n (3), in its carrier's."""
+    """Return the signed distance of c at x from the surface, and n (3), in the axes of the carrier."""
     if k[layout.KIND] == layout.EDGE:
         u1, u2, u3 = edge_axis(R, S, k)
         n1, n2, n3 = cross(u1, u2, u3, k[layout.LINE_AXIS], k[layout.LINE_AXIS + 1], k[layout.LINE_AXIS + 2])
@@ -143,9 +145,9 @@ def at_contact(R, S, k):
 
 @inlined
 def material_velocity(S, k, y1, y2, y3):
-    """Return the velocity (3) of the surface's material relative to its carrier, and its spin (3).
+    """Return the velocity (3) of the surface material relative to its carrier, and its angular velocity (3).
 
-    y is from the surface's point; all in world axes.
+    y is the position relative to the point of the surface; all vectors are in world axes.
     """
     u1, u2, u3 = direction(S, k, layout.VELOCITY)
     o1, o2, o3 = direction(S, k, layout.SPIN)
@@ -162,12 +164,14 @@ def column(J, j, p1, p2, p3):
 
 @inlined
 def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out):
-    """Fill the contact Jacobian (3, nv) at the point p, in the axes a, b, n.
+    """Fill the contact Jacobian `out` (3, nv) at the point p, in the axes a, b, n.
 
     Args:
-        J: (6, nv) motion of the world's origin, as if fixed to what each velocity moves, linear over angular,
-            in world axes.
+        J: (6, nv) joint Jacobian: linear over angular velocity of the bodies that each velocity moves, at the
+            origin of the world, in world axes.
         signs: (nv,) 1 for velocities that move the tip only, −1 the surface only, 0 neither or both.
+        p1 … n3: p, a, b and n in world axes.
+        out: (3, nv) is overwritten with the Jacobian.
     """
     for j in range(len(signs)):
         f = signs[j]
@@ -180,15 +184,15 @@ def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
 
 
 SCREW = 8.0 * 2.0**-52
-"""A motion along the axis of a column below this part of its terms is rounding."""
+"""Linear velocity along the axis of a joint, over the size of its terms, that is taken as rounding."""
 
 
 @inlined
 def fill_by_axes(J, signs, p1, p2, p3, axes, out):
-    """Fill the contact Jacobian, as `fill_jacobian` in axes (9,), each row to rounding of its own size. (6.8)
+    """Fill the contact Jacobian like `fill_jacobian`, with rows accurate to rounding of their own size. (6.8)
 
-    An axis that is at right angles to how a point moves, as the normal is where an arm lies along the floor,
-    is nearly parallel to the joint's; how nearly is the same for all joints with that axis.
+    A row is small where its axis is nearly parallel to the joint axes, such as the normal for an arm that
+    lies along the floor.
     """
     reach = math.sqrt(p1 * p1 + p2 * p2 + p3 * p3)
     for j in range(len(signs)):
@@ -226,17 +230,18 @@ def jacobian_by_axes(columns, signs, point, axes, out):
 def locate(frame, carrier, constants):
     """Return the gap, n (3) and the contact point (3), in world axes.
 
-    For placements (4, 4) of the contact's frame and of the surface's carrier, in whose axes the constants
-    are.
+    `frame` and `carrier` (4, 4) are the placements of the frame of the tip and of the carrier of the surface.
     """
     return at_contact(pose(frame), pose(carrier), constants)
 
 
 @inlined
 def contact_rows(R, S, columns, signs, constants, on_surface, out):
-    """Fill the contact Jacobian J, as `jacobian` does, for placements of the frame and of the carrier.
+    """Fill the contact Jacobian like `jacobian`, for placements R and S of the frame and of the carrier.
 
-    Returns t₁, t₂, n (9), the surface's velocity relative to its carrier (3) in these, and the point (3).
+    Returns:
+        t₁, t₂, n (9) in world axes, the velocity of the surface relative to its carrier (3) in contact axes,
+        and the contact point (3).
     """
     gap, n1, n2, n3, p1, p2, p3 = at_contact(R, S, constants)
     if on_surface:
@@ -259,10 +264,16 @@ def contact_rows(R, S, columns, signs, constants, on_surface, out):
 def jacobian(frame, carrier, columns, signs, constants, on_surface, out):
     """Fill the contact Jacobian J (3, nv).
 
-    Placements of the contact's frame and of the surface's carrier are (4, 4), the constants in their axes;
-    columns (6, nv) and signs (nv,) as in `fill_jacobian`. With `on_surface` the point is the one of the
-    surface below the tip, at the end of the gap: then points of a body above one plane have tangential
-    velocities of rank three, whatever their gaps. Returns t₁, t₂, n (9) in world axes, and the velocity of
-    the surface relative to its carrier (3), in contact axes.
+    Args:
+        frame, carrier: (4, 4) placements of the frame of the tip and of the carrier of the surface.
+        columns, signs: J and signs of `fill_jacobian`.
+        constants: Constants of the contact in the axes of the two frames.
+        on_surface: Whether J is taken at the point of the surface below the tip. The tangential velocities of
+            the points of a body above one plane then have rank three, whatever their gaps.
+        out: (3, nv) is overwritten with J.
+
+    Returns:
+        t₁, t₂, n (9) in world axes, and the velocity of the surface relative to its carrier (3) in contact
+        axes.
     """
     return contact_rows(pose(frame), pose(carrier), columns, signs, constants, on_surface, out)[:12]

@@ -1,11 +1,11 @@
-"""The motion of a contact: rate and acceleration of its gap, and bounds over a step.
+"""Kinematics of a contact: gap and its rate, acceleration, and bounds over a step.
 
-Bodies are given by the placement of their joint, and by spatial vectors (linear over angular), as in
-Pinocchio's data. The acceleration may include gravity, since only differences of two bodies enter.
+Bodies are given by the placement of their joint and by spatial vectors (linear over angular), as in
+Pinocchio's data. Accelerations may include gravity, since only differences of two bodies matter.
 
-The contact point is the point of the tip that is closest to the surface, so on a sphere it is not a material
-point: with c the centre, p = c − r n and ṗ = ċ − r ṅ; and on a rim the lowest point c itself moves along it,
-see `towards_plane`. The contact velocity is that of the two bodies' material at p.
+The contact point p is the point of the tip closest to the surface and not fixed to the tip: for a sphere with
+centre c, p = c − r n and ṗ = ċ − r ṅ; for a rim the lowest point c moves along the rim too, see
+`towards_plane`. The contact velocity is the relative velocity of the material points of the two bodies at p.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from .placement import cross, direction, place, rotate, rotate_back
 @declared(*5 * [FLOATS])
 @external
 def gap_and_rate(R, V, S, U, k):
-    """Return the gap [m] and its rate [m/s], for constants k in the axes of the joints of tip and surface.
+    """Return the gap [m] and its rate [m/s].
 
-    R and V are placement and velocity of the tip's joint, the latter in its axes at its origin; S and U the
-    other's.
+    Args:
+        R, V: (12,) placement of the joint of the tip, and its velocity (6,) in its own axes at its origin.
+        S, U: Those of the joint of the surface.
+        k: (CONSTANTS,) constants of the contact in the axes of these joints.
     """
     c1, c2, c3, x1, x2, x3 = contact_kinematics.relative(R, S, k)
     d, n1, n2, n3 = contact_kinematics.distance(R, S, k, x1, x2, x3)
@@ -45,17 +47,23 @@ def gap_and_rate(R, V, S, U, k):
 
 @inlined
 def bounds(J, signs, group, R, k, peak, h, reach):
-    """Return the numbers that bound the gap's second derivative over a step of length h, see `gap_bounds`.
+    """Return bounds of the motion of the tip's centre c relative to the carrier of the surface over a step.
 
-    For the tip's centre relative to the surface's carrier these are the largest acceleration, its largest
-    variation and the largest speed. With a reach [m] they hold for all points of the tip's body within it of
-    the centre.
+    With J_k the column of velocity k for c, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω × J of the inner
+    and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its derivative has one more factor ω. Bounds of
+    |J_k| over the step are the present values plus |ω_k| times the distance that c can move.
 
-    With J_k the column of velocity k for the tip's centre, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω ×
-    J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
-    factor ω. The |J_k| are the present ones, plus the distance that the point can move. group (nv,) is the
-    joint of each velocity; peak (4, nv) the largest |ξ̇| and |v̇| of the step, and their largest changes from
-    its start.
+    Args:
+        J: (6, nv) joint Jacobian.
+        signs: (nv,) as in `contact_kinematics.fill_jacobian`.
+        group: (nv,) joint of each velocity.
+        R, k: As for `gap_and_rate`.
+        peak: (4, nv) largest |ξ̇| and |v̇| of the step, and their largest changes from its start.
+        h: Step size [s].
+        reach: The bounds hold for all points of the tip's body within this distance of c [m].
+
+    Returns:
+        The largest acceleration [m/s²], its largest variation, and the largest speed [m/s]; see `gap_bounds`.
     """
     n = len(signs)
     c1, c2, c3 = place(R, k, layout.TIP)
@@ -92,7 +100,7 @@ def bounds(J, signs, group, R, k, peak, h, reach):
             turn = math.sqrt(J[3, m] ** 2 + J[4, m] ** 2 + J[5, m] ** 2)
             lever = math.sqrt(u1**2 + u2**2 + u3**2) + way * turn
             v, a, d, e = peak[0, m], peak[1, m], peak[2, m], peak[3, m]
-            if carried:  # seen from the surface's carrier any rotation may be the inner one
+            if carried:  # relative to the carrier of the surface any rotation may be the inner one
                 in_v, in_a, in_d = all_v, all_a, all_d
             else:
                 share = 0.5 if single else 1.0
@@ -111,10 +119,14 @@ def bounds(J, signs, group, R, k, peak, h, reach):
 @declared(*6 * [FLOATS])
 @external
 def rim_and_rates(R, V, S, U, k, out):
-    """Fill the terms of the gap of a rim over a plane, and their rates; arguments as in `gap_and_rate`.
+    """Compute the terms of the gap of a rim over a plane, and their rates.
 
-    These are the height of its centre and its rate, and u × n and its rate (3 + 3), in the axes of the
-    plane's carrier: the gap is the height less the rim's radius times |u × n|.
+    The gap is the height of the centre minus the radius of the rim times |u × n|.
+
+    Args:
+        R, V, S, U, k: As for `gap_and_rate`.
+        out: (8,) is overwritten with the height and its rate, and u × n and its rate (3 + 3) in the axes of
+            the carrier of the plane.
     """
     x1, x2, x3 = place(R, k, layout.TIP)
     x1, x2, x3 = rotate_back(S, x1 - S[9], x2 - S[10], x3 - S[11])
@@ -138,10 +150,9 @@ def rim_and_rates(R, V, S, U, k, out):
 
 @inlined
 def turning_bound(J, signs, R, k, peak, h):
-    """Return the largest second derivative of a rim's axis over a step, times the rim's radius.
+    """Return the largest second derivative of the axis of a rim over a step, times the radius of the rim.
 
-    As `bounds` for the end of the axis relative to the centre, seen from the surface's carrier, so that any
-    rotation may be the inner one.
+    Like `bounds`, for the end of the axis relative to the centre; any rotation may be the inner one.
     """
     n = len(signs)
     x1, x2, x3 = direction(R, k, layout.RIM_AXIS)
@@ -165,13 +176,20 @@ def turning_bound(J, signs, R, k, peak, h):
 @declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @external
 def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, turning, surface):
-    """Fill the kinematics of a closed contact in axes t₁, t₂, n carried by the surface; return the gap [m].
+    """Compute the kinematics of a closed contact, in the axes of `carried_axes`; return the gap [m].
 
-    R, V, A are placement, velocity and acceleration of the tip's joint, in world axes at the world's origin,
-    S, U, B those of the surface's, k the constants in the axes of the two, J (6, nv) the joint Jacobian
-    likewise; signs as in `contact_kinematics.fill_jacobian`. jacobian (3, nv) takes the contact Jacobian,
-    velocity v, acceleration dv/dt for the accelerations given, turning its part that is added in axes that
-    stand still, surface the velocity of the surface relative to its carrier. See `carried_axes`.
+    Args:
+        R, V, A: Placement (12,), velocity and acceleration (6,) of the joint of the tip, in world axes at the
+            origin of the world.
+        S, U, B: Those of the joint of the surface.
+        k: Constants of the contact in the axes of the two joints.
+        J: (6, nv) joint Jacobian in world axes at the origin of the world.
+        signs: (nv,) as in `contact_kinematics.fill_jacobian`.
+        jacobian: (3, nv) is overwritten with the contact Jacobian.
+        velocity: (3,) is overwritten with the contact velocity v.
+        acceleration: (3,) is overwritten with dv/dt of the components of v.
+        turning: (3,) is overwritten with ω × v, for the angular velocity ω of the contact axes.
+        surface: (3,) is overwritten with the velocity of the surface relative to its carrier.
     """
     c1, c2, c3, x1, x2, x3 = contact_kinematics.relative(R, S, k)
     d, l1, l2, l3 = contact_kinematics.distance(R, S, k, x1, x2, x3)
@@ -186,13 +204,13 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     o1, o2, o3 = place(S, k, layout.POINT)
     a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
     dy1, dy2, dy3 = dp1 - U[0] - a1, dp2 - U[1] - a2, dp3 - U[2] - a3
-    # relative velocity of the bodies' material at p, and its rate
+    # relative velocity of the material points at p, and its rate
     a1, a2, a3 = cross(w1, w2, w3, p1, p2, p3)
     v1, v2, v3 = V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3
     a1, a2, a3 = cross(A[3] - B[3], A[4] - B[4], A[5] - B[5], p1, p2, p3)
     b1, b2, b3 = cross(w1, w2, w3, dp1, dp2, dp3)
     g1, g2, g3 = A[0] - B[0] + a1 + b1, A[1] - B[1] + a2 + b2, A[2] - B[2] + a3 + b3
-    # the surface's own motion u = u₀ + Ω × y, and its rate
+    # motion of the surface relative to its carrier, u = u₀ + Ω × y, and its rate
     y1, y2, y3 = p1 - o1, p2 - o2, p3 - o3
     u1, u2, u3, o1, o2, o3 = contact_kinematics.material_velocity(S, k, y1, y2, y3)
     a1, a2, a3 = cross(o1, o2, o3, y1, y2, y3)
@@ -202,7 +220,7 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     d1, d2, d3 = cross(o1, o2, o3, dy1, dy2, dy3)
     g1, g2, g3 = g1 - a1 - b1 - d1, g2 - a2 - b2 - d2, g3 - a3 - b3 - d3
     v1, v2, v3 = v1 - u1, v2 - u2, v3 - u3
-    # as the axes turn, v in them changes
+    # rotation of the axes
     a1, a2, a3 = cross(s1, s2, s3, v1, v2, v3)
     g1, g2, g3 = g1 - a1, g2 - a2, g3 - a3
     e1, e2, e3 = a1, a2, a3
@@ -219,11 +237,15 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
 
 @inlined
 def rates_at_contact(R, V, S, U, k, at):
-    """Return ṅ in the carrier's axes, without its turning (3), and ṅ and ṗ in the world's (3 + 3).
+    """Return ṅ relative to the carrier, in its axes (3), and ṅ and ṗ in world axes (3 + 3).
 
-    R, V are placement and velocity of the tip's body, in world axes at the world's origin, S, U those of the
-    carrier, k the constants in their axes; at is c, c from the surface's point, n in the carrier's axes and
-    in the world's (12), see `relative`.
+    Args:
+        R, V: Placement (12,) and velocity (6,) of the body of the tip, in world axes at the origin of the
+            world.
+        S, U: Those of the carrier of the surface.
+        k: Constants of the contact in their axes.
+        at: (12,) c in world axes, c relative to the point of the surface and n in the axes of the carrier, n
+            in world axes; see `relative`.
     """
     c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3 = at
     r = k[layout.RADIUS]
@@ -242,7 +264,7 @@ def rates_at_contact(R, V, S, U, k, at):
         l1, l2, l3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
     else:
         l1, l2, l3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
-    # the normal turns with the carrier, and as the centre moves along the surface
+    # the normal turns with the carrier and with the motion of the centre along the surface
     a1, a2, a3 = rotate(S, l1, l2, l3)
     m1, m2, m3 = cross(U[3], U[4], U[5], n1, n2, n3)
     m1, m2, m3 = m1 + a1, m2 + a2, m3 + a3
@@ -259,13 +281,17 @@ def rates_at_contact(R, V, S, U, k, at):
 
 @inlined
 def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
-    """Return the rate (3) of the normal of two edges, and how fast the nearest point goes along the tip's.
+    """Return the rate (3) of the normal of two edges, and the speed of the closest point on the tip's edge.
 
-    With u and e the edges, N = u × e and n = N/|N|: ṅ = (Ṅ − n n·Ṅ)/|N|, Ṅ = u̇ × e. The nearest point x of
-    the tip's edge, from the surface's, stays in the plane of e and n, (n × e)·x = 0, and so moves along u at
-    −((ṅ × e)·x + (n × e)·v)/((n × e)·u), v the velocity of the tip's material there. R and S are placements
-    of the joints; w is the angular velocity of the tip in world axes, all other vectors in the axes of the
-    surface's carrier, and against it.
+    With u and e the edges, N = u × e and n = N/|N|: ṅ = (Ṅ − n n·Ṅ)/|N|, Ṅ = u̇ × e. The closest point x of
+    the tip's edge, relative to the surface's, satisfies (n × e)·x = 0, so it moves along u at
+    −((ṅ × e)·x + (n × e)·v)/((n × e)·u), with v the velocity of the material of the tip there.
+
+    Args:
+        R, S: Placements of the joints.
+        k: Constants of the contact in their axes.
+        w1, w2, w3: Angular velocity of the tip relative to the carrier of the surface, in world axes.
+        x1, x2, x3, v1, v2, v3, n1, n2, n3: x, v and n, in the axes of the carrier and relative to it.
     """
     u1, u2, u3 = contact_kinematics.edge_axis(R, S, k)
     e1, e2, e3 = k[layout.LINE_AXIS], k[layout.LINE_AXIS + 1], k[layout.LINE_AXIS + 2]
@@ -284,10 +310,10 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
 
 @inlined
 def _along_rim(R, V, k, n1, n2, n3, m1, m2, m3):
-    """Return the velocity (3) of the lowest point along a rim relative to its material, for ṅ = m.
+    """Return the velocity (3) of the lowest point of a rim relative to the material of the rim, for ṅ = m.
 
-    Relative to the material, u is at rest and n turns at ṅ − ω × n, which moves the lowest point along t = u
-    × e, with e = n_u/|n_u| of `towards_plane`. All in world axes.
+    Relative to the material, u is constant and n changes at ṅ − ω × n, which moves the lowest point along
+    t = u × e, with e = n_u/|n_u| of `towards_plane`. All vectors are in world axes.
     """
     u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
     w1, w2, w3 = cross(u1, u2, u3, n1, n2, n3)

@@ -19,7 +19,7 @@ from .tree import solve_transposed
 
 @inlined
 def _take_out(direction, row):
-    """Subtract from a row its component along a unit direction, and return that."""
+    """Subtract from a row its component along a unit direction; return the component."""
     part = dot(direction, row)
     for j in range(len(row)):
         row[j] -= part * direction[j]
@@ -42,11 +42,15 @@ def _normalize(row):
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_COLUMNS, FLOATS, float, float, float, FLOAT_ROWS, FLOATS)
 @jit
 def delassus_factor(lower, parents, columns, signs, p1, p2, p3, y, out):
-    """Fill `out` with the `FACTOR` numbers of a factor, see `contact_space.inputs`.
+    """Compute the factor of W and its scale. (6.6)
 
-    lower (nv, nv) is L, M = LᵀL; parents (nv,) the next velocities towards the root, or −1; columns (6, nv)
-    as in `contact_kinematics.jacobian`; signs (nv,) 0 for velocities that are none of the contact's; p the
-    contact point in world axes; y (3, nv) Y.
+    Args:
+        lower: (nv, nv) L with M = LᵀL.
+        parents: (nv,) next velocity towards the root, or −1.
+        columns, signs: As for `contact_kinematics.jacobian`.
+        p1, p2, p3: Contact point in world axes.
+        y: (3, nv) Y.
+        out: (FACTOR,) is overwritten with the factor, see `contact_space.inputs`.
     """
     n = len(signs)
     sizes, rows = np.zeros(n), np.empty((3, n))

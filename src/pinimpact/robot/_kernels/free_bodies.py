@@ -42,10 +42,13 @@ def set_motion(R, a, b, c, d, e, f, out):
 @declared(INTEGER_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def move_bodies(joints, bodies, q, v, placements, velocities):
-    """Fill placements (nj, 12) and velocities (nj, 6) of bodies, the latter in their own axes.
+    """Compute placements and velocities of n bodies.
 
-    joints (n, 3) has the joint of each body, and where its coordinates and its velocities begin; bodies see
-    `MASS`.
+    Args:
+        joints: (n, 3) joint of each body, and the indices of its first coordinate and velocity.
+        bodies: (n, BODY) numbers of each body, see `MASS`.
+        q, v: (nq,) configuration and (nv,) velocity.
+        placements, velocities: (nj, 12), (nj, 6) are overwritten; velocities are in the axes of the joints.
     """
     for k in range(len(joints)):
         j = joints[k, 0]
@@ -62,10 +65,16 @@ def move_bodies(joints, bodies, q, v, placements, velocities):
 def accelerate_bodies(
     joints, bodies, gravity, q, v, tau, acceleration, placements, velocities, accelerations, jacobian
 ):
-    """Fill v̇ of bodies and their kinematics, as `RobotDynamics.forward_dynamics` does; see `move_bodies`.
+    """Compute v̇ and the kinematics of n bodies, like `RobotDynamics.forward_dynamics`.
 
-    Placements are (nj, 12), velocities, accelerations less gravity's (nj, 6) and the joint Jacobian (6, nv)
-    in world axes at the world's origin; gravity (3,) [m/s²].
+    Args:
+        joints, bodies, q, v: As for `move_bodies`.
+        gravity: (3,) [m/s²].
+        tau: (nv,) generalized forces.
+        acceleration: (nv,) is overwritten with v̇.
+        placements: (nj, 12) is overwritten.
+        velocities, accelerations, jacobian: (nj, 6), (nj, 6), (6, nv) are overwritten with velocities,
+            accelerations minus gravity and the joint Jacobian, in world axes at the origin of the world.
     """
     for i in range(len(joints)):
         j, a, k = joints[i, 0], joints[i, 2], bodies[i]

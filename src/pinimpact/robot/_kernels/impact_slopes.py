@@ -1,4 +1,4 @@
-"""The derivatives of a robot's impact in one call: from configuration and velocity. (derivatives.md, 5)"""
+"""Derivatives of the impact of a robot at one contact. (derivatives.md, 5)"""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from .configuration_slopes import (
 )
 from .contact_kinematics import fill_by_axes
 from .placement import cross, rotate, rotate_back
-from .robot_impact import NOT_NORMALIZED, SINGULAR_MASS, all_finite, evaluate, meet, parts
+from .robot_impact import NOT_NORMALIZED, SINGULAR_MASS, all_finite, evaluate, evaluate_contact, parts
 from .robot_workspace import RobotWorkspace
 from .tree import factor, solve, solve_mass
 
 SURFACE, FRICTION, RESTITUTION, VALUE, MORE = 0, 6, 7, 8, 9
-"""Columns of the results after those of q and q̇: the surface's velocity and spin, μ and e, and the values
-themselves. Rows are those of q̇⁺ and, in world axes, of P."""
+"""Columns of the results after those of q and q̇: surface velocity and angular velocity, μ and e, and the
+values themselves. Rows are those of q̇⁺ and, in world axes, of P."""
 
 AT_REST = 32.0 * EPS
-"""Part of the terms that a contact velocity is the sum of below which slip before the impact is none: it has
-no direction but that of rounding, and what begins to slip has no slopes across it."""
+"""Slip velocity before the impact, over the size of the terms that it is the sum of, below which it is taken
+as zero: rounding decides its direction, and derivatives across that do not exist."""
 
 
 @declared(
@@ -53,12 +53,17 @@ no direction but that of rounding, and what begins to slip has no slopes across 
 def impact_slopes(
     J, joint, parent, before, inertia, tip, base, at, shifts, y, v, impulse, data, forces, turned
 ):  # fmt: skip
-    """Fill how the data of an impact in contact space change with q, and its forces. (D17)
+    """Compute the derivatives by q of the contact-space problem and of the generalized impulse. (D17)
 
-    J to inertia as in `mass_slopes`, tip to shifts as in `velocity_slopes`; y (3, nv) is q̇ per unit impulse
-    along each contact axis, v (nv,) the velocity before, impulse (3,) P in contact axes. data (9, nv) takes
-    ∂v°/∂q and the slopes of w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, forces (nv, nv) ∂(JᵀP)/∂q − D(Δ), turned (3, nv)
-    how P, fixed in the contact axes, changes in the world.
+    Args:
+        J … inertia: As for `mass_slopes`.
+        tip … shifts: As for `velocity_slopes`.
+        y: (3, nv) Δq̇ per unit impulse along each contact axis.
+        v: (nv,) pre-impact velocity.
+        impulse: (3,) P in contact axes.
+        data: (9, nv) is overwritten with ∂v°/∂q and the derivatives of w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃.
+        forces: (nv, nv) is overwritten with ∂(JᵀP)/∂q − D(Δ).
+        turned: (3, nv) is overwritten with the change of P in world axes for constant P in contact axes.
     """
     nv, joints = len(v), len(parent)
     motions, momenta = np.empty((4, joints, 6)), np.empty((4, joints, 6))
@@ -98,7 +103,7 @@ def impact_slopes(
 
 @inlined
 def by(slope, change):
-    """Return a slope times a change: none for none, where the slope is NaN too."""
+    """Return a slope times a change; 0 for a zero change, even if the slope is NaN."""
     return slope * change if change != 0.0 else 0.0
 
 
@@ -108,12 +113,17 @@ def by(slope, change):
 )
 @jit
 def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, responses, turned, out):
-    """Fill out (nv + 3, 2 nv + MORE) with the derivatives of an impact, from those in contact space. (D17)
+    """Compute the derivatives of an impact from those in contact space. (D17)
 
-    carrier (12,) is the placement of the body in whose axes the surface's velocities are; slopes (3, SLOPES)
-    are those of P in contact axes, slope de/d(approach speed), responses (nv, nv) M⁻¹ times the forces of
-    `impact_slopes`, for the rest see there. Without `by_q` columns of q are not filled, and data, responses
-    and turned not read. For the columns see `SURFACE` and its neighbours.
+    Args:
+        at, y, v, impulse, data, turned: As for `impact_slopes`.
+        carrier: (12,) placement of the body in whose axes the surface velocities are.
+        jacobian: (3, nv) J.
+        slopes: (3, SLOPES) derivatives of P in contact axes.
+        slope: de/d(approach speed) [s/m].
+        by_q: Whether the columns of q are filled; if not, `data`, `responses` and `turned` are not read.
+        responses: (nv, nv) M⁻¹ times the `forces` of `impact_slopes`.
+        out: (nv + 3, 2 nv + MORE) is overwritten with the derivatives; for its columns see `SURFACE`.
     """
     nv = len(v)
     first, more = 0 if by_q else nv, 2 * nv
@@ -158,7 +168,7 @@ def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, re
 
 @inlined
 def _dynamic_parameters(bodies, out):
-    """Fill mass, first moment and inertia (joints, 10) of composite bodies, see `BODY`, about the origin."""
+    """Fill mass, first moment and inertia about the origin (joints, 10) of composite bodies, see `BODY`."""
     for i in range(len(out)):
         m, c1, c2, c3 = bodies[i, 12], bodies[i, 13], bodies[i, 14], bodies[i, 15]
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = m, m * c1, m * c2, m * c3
@@ -173,9 +183,9 @@ def _dynamic_parameters(bodies, out):
 @declared(RobotWorkspace, FLOATS, FLOATS, float, float, bool, FLOAT_ROWS)
 @jit
 def robot_slopes(work, q, v, e, slope, by_q, out):
-    """Differentiate the impact of one contact; return the status as `robot_impact`, and flags of `Boundary`.
+    """Differentiate the impact of one contact; return the status of `robot_impact`, and flags of `Boundary`.
 
-    v (nv,) is the velocity before the impact, e the coefficient of restitution; the rest as in `assemble`.
+    v (nv,) is the pre-impact velocity, e the coefficient of restitution; other arguments as for `assemble`.
     """
     bodies, columns, mass, frame, carrier, room = parts(work, work.scratch)
     if not evaluate(work, q, bodies, columns, mass, frame, carrier):
@@ -189,7 +199,7 @@ def robot_slopes(work, q, v, e, slope, by_q, out):
     numbers, codes, boundary = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64), np.empty(1, dtype=np.int64)
     slopes, singular, jacobian = np.empty((6, SLOPES)), np.empty(FACTOR), np.empty((3, nv))
     at, axes = np.empty(PLACE), np.empty(9)
-    geometry, w, relative, scale, known = meet(
+    geometry, w, relative, scale, known = evaluate_contact(
         frame, carrier, columns, work.signs, work.constants, v, lower, before, y, singular
     )
     w11, w12, w13, w22, w23, w33 = w

@@ -23,18 +23,19 @@ def pose(matrix):
 
 @inlined
 def cross(a1, a2, a3, b1, b2, b3):
+    """Return a × b (3)."""
     return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
 
 
 @inlined
 def rotate(R, a, b, c):
-    """Return a vector in the axes that R is given in."""
+    """Return R x: the vector x = (a, b, c), given in the axes that R places, in the outer axes."""
     return (R[0] * a + R[3] * b + R[6] * c, R[1] * a + R[4] * b + R[7] * c, R[2] * a + R[5] * b + R[8] * c)
 
 
 @inlined
 def rotate_back(R, a, b, c):
-    """Return a vector in the axes that R places."""
+    """Return Rᵀ x: the vector x = (a, b, c), given in the outer axes, in the axes that R places."""
     return along(R, 0, a, b, c), along(R, 3, a, b, c), along(R, 6, a, b, c)
 
 

@@ -1,4 +1,4 @@
-"""The response of a robot to impulses in given directions: W and M⁻¹Jᵀ from M and the rows of J."""
+"""Response of a robot to impulses: W and M⁻¹Jᵀ from M and the rows of J."""
 
 from __future__ import annotations
 
@@ -17,18 +17,24 @@ from .tree import factor, solve, solve_transposed
 @declared(FLOAT_ROWS, INTEGERS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def half_solve(mass, parents, mobility, lower, rows):
-    """Fill `lower` with L, N = LᵀL, and replace each row x (nv,) of `rows` (m, nv) by L⁻ᵀ D x. (1.7)
+    """Compute L, N = LᵀL, and L⁻ᵀ D x for each row x. (1.7)
 
-    mass (nv, nv) is M, parents (nv,) the next velocities towards the root, or −1, mobility (nv,) the diagonal
-    of D, 1 for free velocities and 0 for locked ones. Returns −1, or the first velocity whose inertia is not
-    positive.
+    Args:
+        mass: (nv, nv) M.
+        parents: (nv,) next velocity towards the root, or −1.
+        mobility: (nv,) diagonal of D, 1 for free velocities and 0 for locked ones.
+        lower: (nv, nv) is overwritten with L.
+        rows: (m, nv) rows x; are overwritten with L⁻ᵀ D x.
+
+    Returns:
+        −1, or the index of the first velocity whose inertia is not positive.
     """
     n = len(mobility)
     scaled = np.empty((n, n))
     for i in range(n):
         for j in range(n):
             scaled[i, j] = mass[i, j] * (mobility[i] * mobility[j])
-        scaled[i, i] = mass[i, i] if mobility[i] > 0.0 else 1.0  # what is locked may move no inertia
+        scaled[i, i] = mass[i, i] if mobility[i] > 0.0 else 1.0  # a locked joint may be without inertia
         for row in rows:
             row[i] *= mobility[i]
     stopped = factor(scaled, parents, lower)
@@ -54,16 +60,25 @@ def respond(lower, parents, mobility, y, delassus, response):
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
 @jit
 def taking_part(delassus, friction, rates, least, first, found):
-    """Mark which of n contacts take part in an impact at `first`: 1 in found (n,).
+    """Mark which of n contacts take part in an impact at contact `first`.
 
     These are contacts that approach and are coupled to another of them, and those that an impulse of another
-    can press. Every impulse within the friction cones lifts the others, so they have no impulse. W is (3n,
-    3n), friction (n,) μ, rates (n,) normal velocities, least a speed that is taken as zero. Returns whether
-    any of these is coupled to another contact.
+    can press. Any impulse within the friction cones lifts all other contacts, so they have no impulse.
+
+    Args:
+        delassus: (3n, 3n) W.
+        friction: (n,) μ.
+        rates: (n,) normal velocities.
+        least: Speed of approach that is taken as zero.
+        first: Index of a contact that takes part.
+        found: (n,) is overwritten with 1 for contacts that take part, else 0.
+
+    Returns:
+        Whether any of them is coupled to another contact.
     """
     n = len(found)
     own = np.empty(n)
-    feels = False
+    coupled = False
     for i in range(n):
         own[i] = _largest(delassus, i, i)
         found[i] = 1 if i == first else 0
@@ -77,19 +92,19 @@ def taking_part(delassus, friction, rates, least, first, found):
             size = _largest(delassus, i, j)
             if found[j] != 0 or not size * size > ROUNDING * ROUNDING * own[i] * own[j]:
                 continue
-            feels = True
+            coupled = True
             of_normal = delassus[3 * j + 2]
             lift = of_normal[z] - friction[i] * math.hypot(of_normal[x], of_normal[y])
             if rates[j] < -least or lift < 0.0:
                 found[j] = 1
                 waiting[count] = j
                 count += 1
-    return feels
+    return coupled
 
 
 @inlined
 def _largest(delassus, i, j):
-    """Return the largest magnitude in one contact's block of W for another's impulses."""
+    """Return the largest magnitude in the block (3, 3) of W for contacts i and j."""
     largest = 0.0
     for a in range(3 * i, 3 * i + 3):
         for b in range(3 * j, 3 * j + 3):

@@ -49,7 +49,7 @@ ALL_DONE = -1
 
 @inlined
 def all_finite(x):
-    """Whether all numbers of a vector are finite."""
+    """Return whether all numbers of a vector are finite."""
     total = 0.0
     for i in range(len(x)):
         total += 0.0 * x[i]
@@ -57,17 +57,23 @@ def all_finite(x):
 
 
 @inlined
-def meet(frame, carrier, columns, signs, constants, v, lower, parents, y, singular):
-    """Evaluate a contact of a robot with the factor L of M, and fill the rows y (3, nv) of JL⁻¹.
+def evaluate_contact(frame, carrier, columns, signs, constants, v, lower, parents, y, singular):
+    """Compute W and the velocity of a contact.
 
-    Fills `singular` (FACTOR) with the factor of an ill-conditioned W, else zero; otherwise as `resolve`.
-    Returns what `contact_rows` does, the upper triangle of W (6), the contact's velocity (3), the size of the
-    terms that it is the sum of, and how many numbers of the factor count.
+    Args:
+        frame … v, parents: As for `resolve`.
+        lower: (nv, nv) L with M = LᵀL.
+        y: (3, nv) is overwritten with JL⁻¹.
+        singular: (FACTOR,) is overwritten with the factor of an ill-conditioned W, else with zeros.
+
+    Returns:
+        The result of `contact_rows`; the upper triangle of W (6); the contact velocity (3); the size of the
+        terms that it is the sum of; the length of the factor, FACTOR or 0.
     """
     geometry = contact_rows(frame, carrier, columns, signs, constants, False, y)
     s1, s2, s3 = geometry[9], geometry[10], geometry[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
-    scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
+    scale = abs(s1) + abs(s2) + abs(s3)
     for j in range(len(v)):
         scale += (abs(y[0, j]) + abs(y[1, j]) + abs(y[2, j])) * abs(v[j])
     solve_transposed(lower, parents, y)
@@ -98,16 +104,24 @@ def room_to_resolve(nv: int) -> int:
 )
 @jit
 def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q, v, mu, e, law, room, out):
-    """Resolve the impact of one contact; out (nv + SIZE,) takes the answer, see `DELASSUS` and what follows.
+    """Solve the impact of one contact.
 
-    mass (nv, nv) is M, parents (nv,) the next velocities towards the root, or −1, frame and carrier (12,)
-    placements of the contact's frame and of the surface's, in whose axes the constants are; columns (6, nv)
-    and signs as in `contact_kinematics.fill_jacobian`, seen from where the placements are. q (nq,) is only
-    looked through for numbers that are not finite, or beyond bounds (2, nq); v (nv,) is the velocity before
-    the impact, law the code of the law, room (`room_to_resolve`,) scratch.
+    Args:
+        mass: (nv, nv) M.
+        parents: (nv,) index of the next velocity towards the root, or −1.
+        frame, carrier: (12,) placements of the frame of the contact and of that of its surface.
+        columns, signs: As for `contact_kinematics.fill_jacobian`, relative to the origin of the placements.
+        constants: (CONSTANTS,) constants of the contact in the axes of the two frames.
+        bounds: (2, nq) joint limits.
+        q: (nq,) configuration; it is only checked.
+        v: (nv,) pre-impact velocity.
+        mu, e, law: μ, e and the code of the law.
+        room: (`room_to_resolve`,) scratch.
+        out: (nv + SIZE,) is overwritten with the post-impact velocity and the results from `DELASSUS` on.
 
-    Returns status, flags, iterations, how many coordinates are beyond their bounds; or `SINGULAR_MASS` and
-    the velocity at which the factorization stops.
+    Returns:
+        Status, flags, iterations, and the number of coordinates beyond their bounds; or `SINGULAR_MASS` and
+        the index of the velocity at which the factorization stops.
     """
     mass, columns, room, out = borrowed(mass), borrowed(columns), borrowed(room), borrowed(out)
     n = len(v)
@@ -123,7 +137,7 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
     if stopped >= 0:
         return SINGULAR_MASS, stopped, 0, 0
     singular = out[n + SINGULAR : n + SINGULAR + FACTOR]
-    geometry, w, relative, scale, known = meet(
+    geometry, w, relative, scale, known = evaluate_contact(
         frame, carrier, columns, signs, constants, v, lower, parents, y, singular
     )
     w11, w12, w13, w22, w23, w33 = w
@@ -151,7 +165,7 @@ def room_for(nv: int, bodies: int) -> int:
 
 @inlined
 def parts(work, room):
-    """Return the parts of a work array: bodies, columns, M, placements of frame and carrier; and the rest."""
+    """Return views of a work array: bodies, columns, M, placements of frame and carrier; and the rest."""
     nv, n = work.nv, work.bodies
     first = BODY * (n + 2)
     second = first + 6 * nv
@@ -172,9 +186,9 @@ def evaluate(work, q, bodies, columns, mass, frame, carrier):
 
 @inlined
 def _by_tree(work, room, evaluated, q, v, mu, e, out):
-    """Resolve the impact of a robot's contact; returns as `resolve`, or `NOT_NORMALIZED`.
+    """Solve the impact of a contact; return the result of `resolve`, or `NOT_NORMALIZED`.
 
-    If the tree is `evaluated`, at this q by the previous call, the work array still has its matrices.
+    `evaluated`: whether the work array already contains the matrices at q, from the previous call.
     """
     room, q, v, out = borrowed(room), borrowed(q), borrowed(v), borrowed(out)
     bodies, columns, mass, frame, carrier, room = parts(work, room)
@@ -189,7 +203,10 @@ def _by_tree(work, room, evaluated, q, v, mu, e, out):
 @declared(RobotWorkspace, FLOATS, FLOATS, float, FLOATS)
 @jit
 def robot_impact(work, q, v, e, out):
-    """Resolve the impact of one contact at q (nq,) and v (nv,); return as `resolve`, or `NOT_NORMALIZED`."""
+    """Solve the impact of one contact at q (nq,) and v (nv,); other arguments and result as for `resolve`.
+
+    The status is `NOT_NORMALIZED` for a quaternion or (cos, sin) pair that is not of unit length.
+    """
     return _by_tree(work, work.scratch, False, q, v, work.friction, e, out)
 
 
@@ -218,11 +235,20 @@ def _keep(row, status, flags, out, after, impulses, codes, numbers):
 )
 @released
 def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
-    """Resolve one contact's impact from N states q (N, nq) and v (N, nv), where they are usable (N,).
+    """Solve the impact of one contact for N states.
 
-    mu and e are (N,). after (N, nv) takes v⁺, impulses (N, 3) those in world axes, codes (N, 2) status and
-    flags, numbers (N, SIZE) the other results of `resolve`, or (0, SIZE) none; skipped rows do not change.
-    Returns `ALL_DONE`, or the velocity at which the factorization of M stops.
+    Args:
+        work: The workspace.
+        q, v: (N, nq), (N, nv) configurations and pre-impact velocities.
+        usable: (N,) rows to solve; output rows of others are left.
+        mu, e: (N,) μ and e.
+        after: (N, nv) is overwritten with the post-impact velocities.
+        impulses: (N, 3) is overwritten with the impulses in world axes [N s].
+        codes: (N, 2) is overwritten with status and flags.
+        numbers: (N, SIZE) is overwritten with the other results of `resolve`; (0, SIZE): not needed.
+
+    Returns:
+        `ALL_DONE`, or the index of the velocity at which the factorization of M stops.
     """
     room, out = np.empty(work.room), np.empty(v.shape[1] + SIZE)
     last = -1

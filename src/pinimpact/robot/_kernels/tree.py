@@ -16,17 +16,22 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.tolerances import EPS
 
 KNOWN = 10.0
-"""Rounding, n ε, of M_kk is at most this part of the inertia that velocity k moves while all others are free:
-it is then known to a tenth."""
+"""Least ratio of the inertia that velocity k moves, with all others free, to the rounding error n ε M_kk of
+M_kk; the inertia is then accurate to a tenth. (1.9)"""
 
 
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def factor(mass, parents, lower):
-    """Fill lower (nv, nv) with L of M; entries of velocities that are not ancestors do not change.
+    """Compute L of M (nv, nv).
 
-    parents (nv,) are the next velocities towards the root, or −1. Returns −1, or a velocity whose
-    inertia, with all others free to move, is zero within rounding. (1.9)
+    Args:
+        mass: (nv, nv) M.
+        parents: (nv,) next velocity towards the root, or −1.
+        lower: (nv, nv) is overwritten with L, except for entries of velocities that are not ancestors.
+
+    Returns:
+        −1, or the index of a velocity whose inertia, with all others free, is zero within rounding. (1.9)
     """
     n, growth = mass.shape[0], 1.0
     for i in range(n):
@@ -62,7 +67,7 @@ def factor(mass, parents, lower):
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, result=int)
 @external
 def _without_inertia(mass, parents, lower):
-    """Return the velocity k of the largest M_kk (M⁻¹)_kk if rounding decides that, else −1."""
+    """Return the index k of the largest M_kk (M⁻¹)_kk if it violates (1.9), else −1."""
     n = mass.shape[0]
     growth, row = np.empty(n), np.empty(n)
     found, most = -1, 1.0 / (KNOWN * n * EPS)

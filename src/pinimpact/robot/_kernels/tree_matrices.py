@@ -132,9 +132,13 @@ def _own_inertia(body, inertia):
 def tree_matrices(work, q, bodies, columns, mass):
     """Evaluate a kinematic tree at q (nq,); return whether q is normalized.
 
-    bodies (bodies, BODY) takes the joints' placements, the world's first, in its first twelve columns,
-    columns (6, nv) the motion of the reference point, as if fixed to the bodies that each velocity moves,
-    mass (nv, nv) M, in the entries of each velocity and its ancestors.
+    Args:
+        work: The workspace.
+        q: (nq,) configuration.
+        bodies: (bodies, BODY); the first twelve columns are overwritten with the placements of the joints,
+            the world first.
+        columns: (6, nv) is overwritten with the joint Jacobian at the reference point.
+        mass: (nv, nv); the entries of each velocity and its ancestors are overwritten with those of M.
     """
     bodies, columns, mass = borrowed(bodies), borrowed(columns), borrowed(mass)
     n = work.bodies
