@@ -334,6 +334,8 @@ def test_a_sample_that_raises_is_a_row():
     assert all("restitution" in text for text in found.columns["message"][bad])
     assert np.isnan(found.columns["v.rail"][bad]).all()
     assert np.isfinite(found.columns["v.rail"][~bad]).all()
+    first = int(np.argmax(bad))
+    assert f"sample {first}: {found.columns['message'][first]}\n" in found.summary()
     assert sum(share.value for share in found.frequencies().values()) == pytest.approx(1.0)
 
 

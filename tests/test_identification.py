@@ -179,6 +179,19 @@ def test_friction_is_not_determined_where_all_impacts_stick() -> None:
     assert "all impacts end sticking" in repr(fit)
 
 
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+@pytest.mark.parametrize("towards", [-2.0, 2.0])
+def test_friction_alone_is_not_determined_where_no_residual_depends_on_it(towards: float, loss: str) -> None:
+    """A body that sticks, or moves away: W is the identity, so that v⁺ has no sliding, or is v⁻."""
+    before = np.tile([0.1, 0.0, towards], (20, 1))
+    after = np.tile([0.0, 0.0, 1.0], (20, 1)) if towards < 0.0 else before.copy()
+    after += 0.01 * np.random.default_rng(0).normal(size=after.shape)
+    given = np.tile(np.eye(3), (20, 1, 1)), before, after
+    fit = studies.identify(given, free={"friction": (0, 2)}, fixed={"restitution": 0.5}, loss=loss)
+    assert "friction is not determined" in fit.unidentified[0]
+    assert fit.interval().tolist() == [[0.0, 2.0]]
+
+
 def test_a_fit_does_not_stay_where_all_impacts_stick() -> None:
     # of few impacts of which most stick, the best of the first points may have too much friction
     rng = np.random.default_rng(1)

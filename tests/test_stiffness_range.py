@@ -75,6 +75,7 @@ def test_factors_that_are_none_are_refused(wrong):
         solve_impact(cradle(3)).range(stiffness=wrong)
 
 
-def test_a_number_of_draws_below_zero_is_refused():
-    with pytest.raises(InputError, match="draws"):
-        solve_impact(cradle(3)).range(stiffness=(0.1, 10.0), draws=-1)
+@pytest.mark.parametrize("wrong", [{"draws": -1}, {"draws": True}, {"seed": -1}, {"seed": "a"}])
+def test_draws_and_seed_are_whole_numbers(wrong):
+    with pytest.raises(InputError, match=f"{next(iter(wrong))}: .*, a whole number from 0 expected"):
+        solve_impact(cradle(3)).range(stiffness=(0.1, 10.0), **wrong)

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .._numeric.tolerances import ROUNDING
-from ..checks import counted, finite_array, in_short
+from ..checks import counted, finite_array, in_short, whole_number
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
@@ -190,13 +190,12 @@ class ManySolution:
             The smallest and the largest value of each velocity component, (n, 3) each.
 
         Raises:
-            InputError: The factors are not two positive numbers in ascending order, or the number of draws is
-                negative.
+            InputError: The factors are not two positive numbers in ascending order, or the number of draws or
+                the seed is none from 0 on.
             PinimpactError: An error of `solve_impact` for one of these problems.
         """
         low, high = factors_of(stiffness)
-        if not isinstance(draws, int) or draws < 0:
-            raise InputError(f"draws: {in_short(draws)} given, an integer ≥ 0 expected", value=draws)
+        draws, seed = whole_number("draws", draws, 0), whole_number("seed", seed, 0)
         assert self.story.again is not None  # set by `solve_impact`
         n = len(self.velocity)
         corners = itertools.product((low, high), repeat=n) if n <= MOST_CORNERS else ()

@@ -57,7 +57,7 @@ def compare(
     Raises:
         InputError: Paired roll-outs or fits of different data, or fewer than two groups.
     """
-    level = checks.level(level)
+    level, seed = checks.level(level), checks.whole_number("seed", seed, 0)
     (one, rows), (two, others) = _by_group("test", test), _by_group("other", other)
     if type(test) is not type(other) or (truth_value("paired", paired) and rows != others):
         raise InputError("other: its errors are not of the data of test", value=other)

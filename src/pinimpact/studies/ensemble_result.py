@@ -182,8 +182,10 @@ class Ensemble:
         return path
 
     def summary(self, columns: Sequence[str] | None = None) -> str:
-        """Return quantiles of columns with numbers and frequencies of those with text, as lines."""
+        """Return quantiles of columns with numbers, frequencies of those with text and the first error."""
         lines = [f"{counted(len(self), 'sample')} over {', '.join(self.parameters)}"]
+        failed = np.flatnonzero(self.columns["message"] != "")
+        lines += [f"sample {self.columns['sample'][i]}: {self.columns['message'][i]}" for i in failed[:1]]
         for name in columns or self.results():
             if self.columns[choice("columns", name, self.columns, "a column")].dtype.kind in "fiu":
                 low, middle, high = self.quantiles(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -134,18 +135,20 @@ def fit(
     low, high = np.array(list(free.values())).T
 
     def run(x: Array, loss: Any, scale: float) -> OptimizeResult:
-        return least_squares(
-            lambda x: residual(x).ravel(),
-            x,
-            lambda x: jacobian(x).reshape(-1, len(x)),
-            bounds=(low, high),
-            x_scale=high - low,
-            loss=loss,
-            f_scale=scale,
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=None,  # it would have the unit of the residuals
-        )
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Setting `gtol`")
+            return least_squares(
+                lambda x: residual(x).ravel(),
+                x,
+                lambda x: jacobian(x).reshape(-1, len(x)),
+                bounds=(low, high),
+                x_scale=high - low,
+                loss=loss,
+                f_scale=scale,
+                ftol=tolerance,
+                xtol=tolerance,
+                gtol=np.finfo(float).tiny,  # it has a unit, so that only a gradient of zero ends a fit
+            )
 
     errors, scale = trial or residual, 1.0
     result = run(best_start(free, errors), "linear", 1.0)
