@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact.scene._kernels import contact_forces
-from pinimpact.scene._kernels.acting_forces import jammed_contact, find_forces
+from pinimpact.scene._kernels.acting_forces import find_forces, jammed_contact
 
 
 @numba.njit
