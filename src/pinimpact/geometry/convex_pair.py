@@ -60,10 +60,9 @@ CODES = {
 def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
     """Return the gap of two shapes, or a lower bound of it if it is not small.
 
-    To rounding up to `CLOSE` of their size; beyond, less than the distance by at most coal's error, which
-    makes boxes larger by 10⁻¹⁰. Spheres and capsules do not need coal. Cores that are that close and have no
-    radius around them are apart by at least the gap, see `separation`. `near` (3,) is a recent direction of
-    separation, if known.
+    Up to `CLOSE` of their size the gap is exact to rounding, or for cores without a radius the separation, a
+    lower bound of the distance. Beyond, it is less than the distance by at most coal's error; spheres and
+    capsules do not need coal. `near` (3,) is a recent direction of separation, if known.
     """
     size = a.shape.reach + b.shape.reach
     radius = a.shape.radius + b.shape.radius
@@ -79,7 +78,7 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
         if found is not None:
             return Gap(found.value - radius, found.normal)
     best = separation(a, b, normal if near is None else near)
-    if best.value <= max(0.1 * value, COINCIDE * size):  # the edges that hold them apart may be others
+    if best.value <= max(0.1 * value, COINCIDE * size):  # other edges may separate them further
         best = max(best, separation(a, b), key=lambda one: one.value)
     return Gap(best.value - radius, best.normal)
 
@@ -87,8 +86,8 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
 def _between_segments(a: Array, b: Array) -> tuple[float, Array]:
     """Return the distance of two segments or points (1 or 2, 3), and the unit normal from b to a.
 
-    That of coal takes segments for parallel whose product u × w is below 1.5·10⁻⁷ m²: of capsules that are
-    nearly parallel and a centimetre long it is too large by a thousandth of their length.
+    coal treats segments as parallel if |u × w| < 1.5·10⁻⁷ m², so its distance of nearly parallel capsules of
+    a centimetre is too large by a thousandth of their length.
     """
     (x, y), (u, w) = (a[0], b[0]), (a[-1] - a[0], b[-1] - b[0])
     between, uu, ww, uw = x - y, float(u @ u), float(w @ w), float(u @ w)
@@ -301,7 +300,7 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
     if touch.kind == "edge-edge":
         u, w = a.edge(i), b.edge(j)
         across = cross(u, w)
-        if float(across @ across) == 0.0:  # parallel: they cross nowhere, and other features are nearest
+        if float(across @ across) == 0.0:  # parallel edges do not cross; other features are closest
             middle = a.vertices[a.shape.edges[i]].mean(axis=0)
             foot, _ = _foot_on_edge(middle, b, j)
             length = float(np.linalg.norm(u) + np.linalg.norm(w))
@@ -374,9 +373,9 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
     distinct: list[Touch] = []
     for touch in found:
         between = touch.point - touch.other
-        off = abs(float(between @ normal) - radius)
+        height = abs(float(between @ normal) - radius)
         across = float(np.linalg.norm(between - (between @ normal) * normal))
-        if off > 4.0 * tolerance or across > COINCIDE * size + math.sqrt(2.0 * tolerance * radius):
+        if height > 4.0 * tolerance or across > COINCIDE * size + math.sqrt(2.0 * tolerance * radius):
             continue
         if all(np.linalg.norm(touch.point - other.point) > COINCIDE * size for other in distinct):
             distinct.append(touch)
@@ -389,7 +388,7 @@ def at_one_place(
     """Return a contact point that `touches` returns, and other features that are as close at its place."""
     near = COINCIDE * (a.shape.reach + b.shape.reach)
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
-    if touch.kind == "vertex-vertex":  # of an edge that ends here the closest point may be the end
+    if touch.kind == "vertex-vertex":  # the closest point of an edge may be its end
         i, j = touch.features
         found += _ending(a, i, b, j, near) + [other.mirrored for other in _ending(b, j, a, i, near)]
     others = [one for one in found if (one.kind, one.features) != (touch.kind, touch.features)]

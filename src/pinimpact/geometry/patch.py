@@ -26,8 +26,8 @@ class Patch(NamedTuple):
     points: Array  # (k, 3) of the first shape [m]
     others: Array  # (k, 3) of the second, opposite to them
     gaps: Array  # (k,) between them along the normal [m], negative where the shapes overlap
-    kinds: Integers  # (k,) codes of what meets there, see `box_patch`
-    edges: Array  # (2, 3) unit directions of the edges of the two that meet, as far as there are any
+    kinds: Integers  # (k,) codes of the features in contact, see `box_patch`
+    edges: Array  # (2, 3) unit directions of the edges in contact of the two shapes, if any
 
 
 def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
@@ -104,8 +104,8 @@ def _on_face(
 ) -> Patch | None:
     """Return the patch of a shape A over a face of another, with gaps up to `within` [m].
 
-    `facing` has how much each face of A faces that face, it is empty where A has none; `kind` is the code of
-    points of A on that face.
+    `facing` are cosines of the angles at which the faces of A face that face, empty if A has none; `kind` is
+    the code of points of A on that face.
     """
     normal = b.normals[face]
     plane = float(b.offsets[face]) + b.shape.radius
@@ -125,7 +125,7 @@ def _on_face(
     if not near.any():
         return None
     kinds = np.full(len(polygon), kind)
-    if facing.max(initial=0.0) >= 1.0 - TIE:  # the faces are parallel: it does not matter which is clipped
+    if facing.max(initial=0.0) >= 1.0 - TIE:  # parallel faces: the same result whichever is clipped
         of_a, of_b = (_among(polygon, ends, normal, tolerance) for ends in (a.vertices, corners))
         kinds[~of_a] = PLANE
         kinds[of_b & ~of_a] = TIP_PLANE if kind == PLANE else PLANE
@@ -134,7 +134,7 @@ def _on_face(
 
 
 def _among(points: Array, others: Array, normal: Array, distance: float) -> Bools:
-    """Return which of some points (k, 3) are among others but for their heights along a normal."""
+    """Return which points (k, 3) coincide with one of `others` after projection along a normal."""
     apart = points[:, None] - others
     apart -= (apart @ normal)[:, :, None] * normal
     return np.asarray((np.linalg.norm(apart, axis=2) <= distance).any(axis=1))
@@ -143,7 +143,7 @@ def _among(points: Array, others: Array, normal: Array, distance: float) -> Bool
 def _clipped(polygon: Array, outward: Array, offset: float, tolerance: float) -> Array:
     """Return the part of a polygon, a segment or a point on the inner side of a plane.
 
-    What is beyond it by less than the tolerance lies in it: an edge along it crosses it nowhere.
+    Points beyond the plane by less than the tolerance lie in it, so that edges in the plane do not cross it.
     """
     heights = polygon @ outward - offset
     heights[(heights > 0.0) & (heights <= tolerance)] = 0.0

@@ -11,17 +11,17 @@ GJK = COAL_ERROR / 100.0
 """Tolerance of coal's distance."""
 
 CLOSE = 1e-6
-"""Gap below which coal's distance is replaced by one that is exact to rounding; far above `COAL_ERROR` and
-far below the motion of a step: shapes move by it before it is seen what touches after a point has left, and
-overlap by less, but for a fault."""
+"""Gap below which coal's distance is replaced by one that is exact to rounding: far above `COAL_ERROR` and
+far below the motion of a step. After a separation shapes move by it before new contacts are detected;
+overlaps stay below it unless that fails."""
 
 LOCAL = 10.0 * CLOSE
 """Distance of a corner behind the extreme one up to which it may belong to the closest feature."""
 
 COINCIDE = 1e-9
-"""Distance below which points coincide: points of contact, corners of a patch, and shapes that touch, whose
-edges are all tried; points that are this close to a plane or a line lie in it, and normals of facets of one
-face differ by less, and edges whose angle has a smaller sine do not determine a normal."""
+"""Distance below which points coincide, points lie in a plane or on a line, and all edges of two shapes in
+contact are tried; also the difference of normals of facets of one face, and the sine of the angle of edges
+below which they do not determine a normal."""
 
 TIE = NOISE
 """Tolerance for equal separations; faces then precede edges."""

@@ -13,9 +13,9 @@ from one side: no contact is missed, however short. With α the largest accelera
 relative to the other, and v and l the largest relative velocity and distance,
 β = α + 2 |Ω| (v + α h) + Ω² l.
 
-Shapes that separate as their contact force decreases rise like h³ only, which no such bound resolves. So
-second rates at t are used too, as far as they close the gap, and the third rate of the gap is bounded, by γ
-h³/6: of both bounds the one that reaches farther is used.
+For shapes that separate as their contact force decreases, the gap grows like h³ only, which this bound does
+not resolve. A second bound uses the second rates at t that close the gap, and a bound γ h³/6 of the
+third-order term. The bound that reaches farther is used.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from .convex_shape import PlacedShape, cross
 from .tolerances import COINCIDE, FAR
 
 MAX_ADVANCES = 20_000
-"""Largest number of advances of a pair that neither touches nor separates; one that separates at a thousandth
-of the acceleration that its bound allows takes some thousands."""
+"""Largest number of advances of a pair; one that separates at a thousandth of the acceleration bound needs
+some thousands."""
 
 SAMPLES, SAFETY = 8, 1.5
 """Number of samples of a step for its largest accelerations and their rates, and a safety factor."""
@@ -47,7 +47,7 @@ class PairState(NamedTuple):
     b: PlacedShape
     velocity_a: Array  # (6,) spatial, at the world's origin, linear over angular, in world axes
     velocity_b: Array
-    acceleration_a: Array  # (6,) rates of these, at the same place in space
+    acceleration_a: Array  # (6,) time derivatives of these, at the world's origin
     acceleration_b: Array
 
     @property
@@ -95,12 +95,12 @@ def first_touch(
 
     def fronts(t: float) -> list[Front]:
         nonlocal near, fastest
-        if fastest is None and t > start:  # second rates alone let many steps pass
+        if fastest is None and t > start:  # sampled only if the first bound does not reach the end
             fastest = _fastest(at, start, end)
         state = at(t)
         value, near = gap(state.a, state.b, near)
         size = state.a.shape.reach + state.b.shape.reach
-        turns = [_goes_with(state, value, near)]
+        turns = [_following_rate(state, value, near)]
         if state.a.shape.radius + state.b.shape.radius > 0.0:
             if value <= COINCIDE * size:
                 facing = touches(state.a, state.b, near, COINCIDE * size)
@@ -116,7 +116,7 @@ def first_touch(
     return advance(fronts, start, end, floor)
 
 
-def _goes_with(state: PairState, value: float, normal: Array) -> Array:
+def _following_rate(state: PairState, value: float, normal: Array) -> Array:
     """Return the rate (3,) of a normal for which all extreme vertices rise at the same rate."""
     a, b = state.a, state.b
     size = a.shape.reach + b.shape.reach
@@ -184,7 +184,7 @@ def _accelerations(state: PairState, velocities: list[Array]) -> list[Array]:
 
 
 def _most(one: Array, other: Array) -> float:
-    """Return what the difference of a vector (3,) of the one and one of the other does not exceed."""
+    """Return an upper bound of |x − y| for rows x of `one` (n, 3) and y of `other` (m, 3)."""
     mean = 0.5 * (one.mean(axis=0) + other.mean(axis=0))
     return sum(float(np.linalg.norm(each - mean, axis=1).max()) for each in (one, other))
 
@@ -192,7 +192,10 @@ def _most(one: Array, other: Array) -> float:
 def _front(
     state: PairState, value: float, normal: Array, bend: float, most: tuple[float, float] | None, turn: Array
 ) -> Front:
-    """Return what faces each other along a normal that turns at a rate (3,)."""
+    """Return the `Front` along a normal that turns at the rate `turn` (3,).
+
+    `value` is the gap, `bend` the bound of the relative acceleration, `most` that of `_fastest`, if known.
+    """
     a, b = state.a, state.b
     size = a.shape.reach + b.shape.reach
     heights_a, heights_b = a.vertices @ normal, b.vertices @ normal
@@ -239,8 +242,8 @@ def _front(
 def advance(fronts: Callable[[float], list[Front]], start: float, end: float, floor: float) -> Advance | None:
     """Return the first contact of features that face each other, until a time; see `first_touch`.
 
-    A gap below zero at the start is the zero of all gaps: after a separation it is off by rounding. `fronts`
-    returns the features along one normal, or several that are equally good at the time.
+    A negative gap at the start, rounding after a separation, is subtracted from all gaps. `fronts` returns
+    the `Front` along the normal at a time, or those along several equally good normals.
     """
     t, base = start, math.inf
     for _ in range(MAX_ADVANCES):
@@ -269,7 +272,7 @@ def _step(now: Front, left: float, floor: float) -> float:
     gap_now = max(now.value, floor)
     raised = gap_now - float(now.heights_a[first] - now.heights_b[other] - now.apart)
     longest = min(left, now.until)
-    if now.bend > 0.0:  # the two that are foremost now would touch by then
+    if now.bend > 0.0:  # upper limit: the time at which the bound of the two extreme vertices is zero
         rate = float(now.rates_a[first] - now.rates_b[other])
         longest = min(longest, (rate + math.sqrt(rate * rate + 2.0 * now.bend * gap_now)) / now.bend)
 
@@ -291,13 +294,13 @@ def _step(now: Front, left: float, floor: float) -> float:
 
 
 def _clear(bound: Callable[[float], float], longest: float) -> float:
-    """Return the root of a concave function that is above zero at 0, or slightly less; at most `longest`."""
+    """Return a lower bound close to the root of a concave function, positive at 0; at most `longest`."""
     high, at_high = longest, bound(longest)
     if at_high >= 0.0:
         return longest
     low, at_low = 0.0, bound(0.0)
     for _ in range(60):
-        low_next = low + (high - low) * at_low / (at_low - at_high)  # a chord of what is concave is below it
+        low_next = low + (high - low) * at_low / (at_low - at_high)  # a chord is below a concave function
         at_next = bound(low_next)
         if not at_next > 0.0:
             return low_next
@@ -327,7 +330,7 @@ def normal_rate(touch: Touch, now: Followed, state: PairState) -> Array:
     between = now.touch.point - now.touch.other
     moving = state.velocity_a[:3] + cross(spin_a, now.touch.point)
     moving = moving - state.velocity_b[:3] - cross(spin_b, now.touch.other)
-    if touch.kind == "vertex-edge":  # as the line turns, the point on it that is nearest moves along
+    if touch.kind == "vertex-edge":  # the closest point moves along the edge
         line = state.b.edge(touch.features[1])
         line = line / np.linalg.norm(line)
         moving = moving - line * (line @ moving + cross(spin_b, line) @ between)

@@ -204,7 +204,7 @@ class Contact:
 
 
 def is_pair(robot: Any, contact: Contact) -> bool:
-    """Whether a contact is one of two convex shapes: not of a shape and a plane, nor of two spheres."""
+    """Return whether a contact is between two convex shapes, other than a plane or two spheres."""
     if contact.geometry is None or isinstance(contact.plane, Solid):
         return contact.geometry is not None
     if not isinstance(contact.plane, Sphere):
@@ -270,7 +270,7 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
 
 
 def check_surface(field: str, value: Any) -> None:
-    """Refuse what is no surface."""
+    """Raise `InputError` for a value that is not a surface."""
     if not isinstance(value, Surface):
         raise InputError(f"{field}: {in_short(value)} is not a Plane, Sphere, Box or Shape", value=value)
 
@@ -281,7 +281,7 @@ def check_contact(field: str, value: Any) -> None:
         raise InputError(f"{field}: {in_short(value)} is not a Contact", value=value)
     if value.geometry is not None:
         instead = "give those of its contact.tips(robot) that touch"
-        if not isinstance(value.plane, Plane):  # where shapes touch depends on the configuration
+        if not isinstance(value.plane, Plane):  # the contact points depend on the configuration
             instead = "impact() and scenes take it"
         raise InputError(
             f"{field}: {value.label!r} is a contact of a collision shape, which has no single point here; "

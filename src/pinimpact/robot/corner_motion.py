@@ -1,4 +1,4 @@
-"""How a corner of the patch of two convex shapes moves with the configuration. (derivatives.md, 12)"""
+"""Motion of a corner of the patch of two convex shapes with the configuration. (derivatives.md, 12)"""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from .shape_pair import ShapePair, closest_points, feature_contact, point_contac
 
 
 class Corner(NamedTuple):
-    """A corner of a patch, where it was found."""
+    """A corner of a patch at one configuration."""
 
     pair: ShapePair
-    normal: Array  # (3,) from the second one to the first
-    point: Array  # (3,) on the first and on the second, in the world
-    other: Array
-    kind: int  # code of what meets: `PLANE` on a face of the second, `TIP_PLANE` on one of the first
-    edges: Array  # (2, 3) directions of the edges of the two that meet, as far as there are any
+    normal: Array  # (3,) from the second shape to the first
+    point: Array  # (3,) on the first shape, in world axes
+    other: Array  # (3,) on the second shape
+    kind: int  # code of the features in contact: `PLANE` on a face of the second, `TIP_PLANE` of the first
+    edges: Array  # (2, 3) directions of the edges in contact of the two shapes, if any
 
     @property
     def on_face(self) -> bool:
-        """Whether it is on a face of one of the shapes; else the features alone say where it is."""
+        """Whether it is on a face of one of the shapes; otherwise its features determine its position."""
         return self.kind in (PLANE, TIP_PLANE)
 
     @property
@@ -47,10 +47,7 @@ class Corner(NamedTuple):
         )
 
     def contact(self, data: pin.Data, basis: Contact) -> Contact:
-        """Return it as a contact of a point on a plane, at the configuration of `data`.
-
-        The point is that of the shape without the face.
-        """
+        """Return the corner as a contact of a point of the shape without the face on a plane of the other."""
         p, q = self._cores
         if self.kind == TIP_PLANE:
             p = p + self.other - self.point
@@ -58,7 +55,7 @@ class Corner(NamedTuple):
         return point_contact(self.pair, data, (), self.normal, touch, basis).instant
 
     def carried(self, data: pin.Data, basis: Contact) -> Contact:
-        """Return the contact of its features; on a face of the first shape its tip is on the second.
+        """Return the contact of its features; its tip is on the second shape for a face of the first.
 
         Raises `InputError` for a ball on a corner.
         """
@@ -67,12 +64,18 @@ class Corner(NamedTuple):
         return feature_contact(self.pair, data, self.normal, self._cores, self.kind, self.edges, basis)
 
     def follow(self, data: pin.Data, columns: Array, shifts: Array) -> bool:
-        """Set in `shifts` how a corner on a face and the normal move, which `contact` fixes to the shapes.
+        """Set in `shifts` the motion of a corner on a face and of the normal, which `contact` takes as fixed.
 
-        Given columns (6, nv), the motions of the joints at the origin of the world, and shifts (nv, SHIFT) of
-        the contact, see `configuration_slopes`; joint placements of `data` are up to date. Returns whether it
-        is a vertex on an edge of the other shape, so that it moves in another way to one side. Raises
-        `InputError` for features whose motion is not known.
+        Args:
+            data: Data of the robot with up-to-date joint placements.
+            columns: (6, nv) joint Jacobian at the origin of the world.
+            shifts: (nv, SHIFT) of `configuration_slopes`, for `contact`; is updated.
+
+        Returns:
+            Whether the corner is a vertex on an edge of the other shape; its motion then differs by side.
+
+        Raises:
+            InputError: The motion of the features is not known.
         """
         a, b = self.pair.placed(data)
         n = self.normal
@@ -91,9 +94,9 @@ class Corner(NamedTuple):
 
 
 def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> list[tuple[Corner, Contact]]:
-    """Return where two shapes are closest at q (nq,), with the contact there; none where features meet.
+    """Return the closest points of two shapes at q (nq,) as corners, with their contacts.
 
-    Afterwards ``data.oMi`` is up to date.
+    Places where several features are in contact are left out. Afterwards ``data.oMi`` is up to date.
     """
     places = closest_points(robot, data, q, pair)
     found, placed = [], PlacedRobot(robot, data, q)
@@ -108,7 +111,7 @@ def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> li
 
 
 def _motions(columns: Array, carried: Array) -> tuple[Array, Array]:
-    """Return linear and angular motions (nv, 3) of what some joints carry."""
+    """Return linear and angular motions (nv, 3) of the bodies that the velocities `carried` (nv,) move."""
     return (carried * columns[:3]).T, (carried * columns[3:]).T
 
 
@@ -140,8 +143,8 @@ class _Side(NamedTuple):
         if len(ends) == 0:  # a ball
             return None
         along = ends[:, 1] - ends[:, 0]
-        off = np.cross(self.point - ends[:, 0], along / np.linalg.norm(along, axis=1)[:, None])
-        distances = np.linalg.norm(off, axis=1)
+        moments = np.cross(self.point - ends[:, 0], along / np.linalg.norm(along, axis=1)[:, None])
+        distances = np.linalg.norm(moments, axis=1)
         k = int(np.argmin(distances))
         if distances[k] > self._near:
             return None
@@ -149,13 +152,13 @@ class _Side(NamedTuple):
 
 
 _NEAR = 1e3
-"""Distances of corners from edges and vertices, which come from some operations, in parts of `COINCIDE`."""
+"""Tolerance of computed distances of corners from edges and vertices, over `COINCIDE`."""
 
 
 def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
-    """Return how a corner of A's face within the sides of B's moves, (nv, 3); B's point is its foot on B.
+    """Return the motion (nv, 3) of a corner of A's face clipped by B's; B's point is its projection.
 
-    None where the normal is not that of a face of B, as with an edge on a ball, or the corner is on no edge.
+    None if the normal is not that of a face of B, as for an edge on a ball, or the corner is not on an edge.
     """
     if not len(b.placed.shape.faces) or (b.placed.normals @ normal).max() <= FACE:
         return None
@@ -163,7 +166,7 @@ def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
     if a.at_vertex:
         return moved
     carried = b.moves(a.point)
-    if b.at_vertex:  # along the normal with the face of A
+    if b.at_vertex:  # along the normal it moves with the face of A
         facing = a.placed.normals[int(np.argmin(a.placed.normals @ normal))]
         return carried + np.outer((moved - carried) @ facing / (facing @ normal), normal)
     edge, side = a.edge, b.edge

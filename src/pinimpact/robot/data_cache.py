@@ -24,12 +24,16 @@ from .tree_numbers import UNALIGNED, Tree, tree_of
 
 
 class DataCache:
-    """Data of a model and its Data, of both weak references, that do not change; see `data_cache`.
+    """Cached data of a model and its Data, with weak references to both; see `data_cache`.
 
-    parents (nv,) are the next velocities towards the root, or −1. If joints mimic others (`mimics`) the joint
-    Jacobian has different columns; `flaw` is why Pinocchio gives wrong results, if it does; `curved` whether
-    nq is not nv; `joints` those of the velocities and what these stand on, once asked for. Beyond bounds (2,
-    nq) a warning is given. `workspaces` has by its id a contact and its workspace, see `struck`.
+    Attributes:
+        parents: (nv,) next velocity towards the root, or −1.
+        mimics: Whether joints mimic others; the joint Jacobian then has different columns.
+        flaw: Why results of Pinocchio would be wrong for this model; None if they are not.
+        curved: Whether nq differs from nv.
+        bounds: (2, nq) joint limits; a warning is given beyond them.
+        joints: Joint of each velocity, and parent joints; None until they are needed.
+        workspaces: Contact and workspace by the id of the contact, see `struck`.
     """
 
     def __init__(self, model: pin.Model, data: Any) -> None:
@@ -70,7 +74,7 @@ class DataCache:
             self.warn_of_limits(q, stacklevel=stacklevel + 1)
 
     def ignore_limits(self) -> None:
-        """Give no warnings of joint limits."""
+        """Disable warnings of joint limits."""
         self.bounds[:] = [[-np.inf], [np.inf]]  # in place, where kernels read them
 
     def frame(self, key: str | int, field: str = "frame") -> int:
@@ -94,7 +98,7 @@ class DataCache:
         if found is None:
             model: Any = self.model()
             ends = self.frame(frame), 0 if body is None else self.frame(body, "body")
-            signs = np.ones(self.nv)  # with mimic joints each column holds what it does to either
+            signs = np.ones(self.nv)  # with mimic joints columns already are differences of the two frames
             if not self.mimics:
                 signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
             found = self.contacts[frame, body] = (*ends, signs)
@@ -167,7 +171,7 @@ _known: dict[int, tuple[Any, tuple[int, ...], _Joints]] = {}
 
 
 def _forget(known: dict[int, Any], key: int) -> Any:
-    forget = known.pop  # bound now: at exit the module may be gone before what it remembers
+    forget = known.pop  # bound now: at exit module globals may be gone before the weak references
     return lambda _: forget(key, None)
 
 
@@ -175,7 +179,7 @@ def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
     """Return the cache of `data`, created on the first call and kept as long as `data` exists.
 
     Frame placements, inertias and rotor inertias may change between calls. Adding a frame requires new data;
-    a frame that is renamed in place keeps its first name here.
+    a frame that is renamed in place is known by its first name.
     """
     found = _caches.get(id(data))
     if found is None or found.data() is not data or found.model() is not model:
@@ -184,9 +188,9 @@ def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
 
 
 def checked_configuration(cache: DataCache, model: pin.Model, q: Any) -> np.ndarray:
-    """Return q as a checked (nq,) array, or raise `InputError`: wrong length, not finite, or not normalized.
+    """Return q as an (nq,) array, or raise `InputError`: wrong length, not finite, or not normalized.
 
-    A quaternion or (cos, sin) pair is of unit length to half of the digits.
+    The tolerance of the length of a quaternion or (cos, sin) pair is `HALF_DIGITS`.
     """
     q = finite_array("q", q, cache.q_shape)
     if cache.curved and not pin.isNormalized(model, q, HALF_DIGITS):

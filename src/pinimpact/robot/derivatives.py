@@ -40,7 +40,7 @@ _UPPER = np.triu_indices(3)
 
 
 class _View:
-    """Some columns of what `assemble` fills, in the rows of q̇⁺ or of P."""
+    """Descriptor for columns of `ImpactDerivatives.block`, in the rows of q̇⁺ or of P."""
 
     def __init__(self, of_impulse: bool, columns: Callable[[int], slice | int]) -> None:
         self._of_impulse, self._columns = of_impulse, columns
@@ -94,7 +94,7 @@ _TURNING_AXES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic",
 
 
 def check_joints(model: pin.Model) -> None:
-    """Refuse joints whose axes, in the joint's own, depend on q."""
+    """Raise `ModelError` for joints whose motion subspace, in their own axes, depends on q."""
     for name, joint in zip(model.names, model.joints, strict=True):
         kind = joint.shortname()
         if any(word in kind for word in _TURNING_AXES):
@@ -108,7 +108,7 @@ def check_joints(model: pin.Model) -> None:
 def _restitution(
     model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact
 ) -> tuple[float, float]:
-    """Return e, at the approach speed where it is a function, and de/d(approach speed)."""
+    """Return e, at the approach speed if it is a function, and de/d(approach speed)."""
     if not callable(contact.restitution):
         return float(contact.restitution), 0.0
     cache = data_cache(model, data)
@@ -118,7 +118,7 @@ def _restitution(
 
 
 def slope_of_restitution(contact: Contact, speed: float) -> float:
-    """Return de/d(approach speed), 0 for a number."""
+    """Return de/d(approach speed) [s/m]; 0 if e is a number."""
     if not callable(contact.restitution):
         return 0.0
     slope = getattr(contact.restitution, "slope", None)
@@ -212,7 +212,7 @@ def impact_rows(
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
 ) -> tuple[Array, Array]:
-    """Return what an impact would come to, as rows for a controller: (q̇⁺, P) = A v̇ + b.
+    """Return the result of a possible impact as a linear function for a controller: (q̇⁺, P) = A v̇ + b.
 
     v̇ is the acceleration of this tick, so that the velocity before an impact at its end is v + v̇ dt, at the
     present configuration. (docs/derivatives.md, D28)
@@ -270,7 +270,7 @@ def _differentiated(
 def _of_shape(
     robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *rest: Any
 ) -> tuple[Array, int]:
-    """Do what `_differentiated` does for a collision shape, at the one point where it touches."""
+    """Return the result of `_differentiated` for a collision shape, at its single contact point."""
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     if is_pair(robot, contact):
@@ -297,9 +297,9 @@ def derivatives_at_point(
     locked: Sequence[str | int],
     by_q: bool = True,
 ) -> ImpactDerivatives:
-    """Do what `impact_derivatives` does for a contact point of two shapes, see `PointContact`, or another.
+    """Return `impact_derivatives` for `instant`, `lasting` and `swapped` of a `PointContact`.
 
-    How that moves with q follows from its features, of which the tip may be that of the other shape.
+    The motion of the contact point with q follows from `lasting`.
     """
     (instant, lasting, swapped), rest = point, (held, locked)
     block, boundary = _differentiated(model, data, q, v, instant, *rest, by_q and lasting is instant)
@@ -307,7 +307,7 @@ def derivatives_at_point(
     if by_q and lasting is None:
         of_q[:] = np.nan
         boundary |= Boundary.FEATURES_MEET
-    elif by_q and swapped and lasting is not None:  # the contact point is one of the surface of this shape
+    elif by_q and swapped and lasting is not None:  # this shape is the surface of `lasting`
         e = _restitution(model, data, q, v, lasting)
         of_q[:] = _by_matrices(model_of(model), data, q, v, lasting, e, *rest, True, on_surface=True)[0][
             :, : len(of_q[0])
@@ -319,7 +319,7 @@ def derivatives_at_point(
 
 
 class Tree(NamedTuple):
-    """The motions (6, nv) of the velocities, and the joints that they belong to and that these stand on."""
+    """Joint Jacobian J (6, nv), the joint (nv,) of each velocity, and the parent (joints,) of each joint."""
 
     J: Array
     joint: Integers
@@ -327,7 +327,7 @@ class Tree(NamedTuple):
 
     @classmethod
     def of(cls, placed: PlacedRobot) -> Tree:
-        """Return those of a robot at a configuration."""
+        """Return the `Tree` of a robot at a configuration."""
         model, cache = placed.model, placed.cache
         if cache.joints is None:
             check_joints(model)
@@ -342,7 +342,7 @@ class Tree(NamedTuple):
 
 
 class Place(NamedTuple):
-    """The joints of tip and surface, where a contact is, how that moves, and where its surface's body is."""
+    """Joints of tip and surface, `at` and `shifts` of `fill_place`, and the placement of the carrier."""
 
     tip: int
     base: int
@@ -351,7 +351,7 @@ class Place(NamedTuple):
     carrier: Array
 
     def move_onto_surface(self, at: ContactGeometry) -> None:
-        """Take the point of the surface below the tip: it moves with the gap and the normal."""
+        """Replace the contact point by that of the surface below the tip; it moves with gap and normal."""
         n, turns = at.axes[2], self.shifts[:, places.TURN : places.TURN + 3]
         self.at[places.POINT : places.POINT + 3] -= at.gap * n
         self.shifts[:, :3] -= np.outer(at.h[: len(turns)], n) + at.gap * np.cross(turns, n)
@@ -363,7 +363,7 @@ _NO_TREE = Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.emp
 def contact_place(
     placed: PlacedRobot, tree: Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
 ) -> Place:
-    """Fill `at` and `shifts` of a contact; those of n velocities, all or none."""
+    """Return the `Place` of a contact; `turns` as for `fill_place`, `n` is nv, or 0 for no `shifts`."""
     frames, ids = placed.model.frames, placed.cache.contact(contact.frame, contact.plane.body)[:2]
     joints = frames[ids[0]].parentJoint, frames[ids[1]].parentJoint
     at, shifts = np.empty(places.PLACE), np.empty((n, places.SHIFT))
@@ -385,9 +385,9 @@ def _by_matrices(
     by_q: bool,
     on_surface: bool = False,
 ) -> tuple[Array, int]:
-    """Do what `robot_slopes` does with `contact_matrices`, where that kernel does not apply.
+    """Return the result of `_differentiated` by `contact_matrices`, where the kernel does not apply.
 
-    The contact point is the one of the surface below the tip if `on_surface`.
+    With `on_surface` the contact point is that of the surface below the tip.
     """
     matrices, (e, slope) = contact_matrices(model, data, q, contact, held, locked), restitution
     nv = len(matrices.h)
@@ -436,7 +436,7 @@ def _add_held(
     of_data: Array,
     forces: Array,
 ) -> Array:
-    """Add to the slopes of W and to the forces what held contacts do; return dΓ Δ (3k, nv). (D21)"""
+    """Add the contributions of held contacts to ∂W/∂q and to the forces; return dΓ Δ (3k, nv). (D21)"""
     nv, pushes = len(forces), matrices.held_response  # [h, world axis, i]
     moved = np.empty((3, len(held), 3, nv))
     for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):

@@ -24,15 +24,16 @@ class HeldContactWarning(UserWarning):
 
 
 def moves(geometry: ContactGeometry, v: Array, scale: float) -> bool:
-    """Whether a held contact moves against its surface, in an impact whose velocities have a scale [m/s]."""
+    """Return whether a held contact moves relative to its surface; `scale` is that of velocities [m/s]."""
     scale = max(scale, geometry.velocity_scale(v))
     return float(np.linalg.norm(geometry.velocity(v))) > HELD_TOLERANCE * scale
 
 
 def pull(geometry: ContactGeometry, push: Array, impulse: Array) -> float:
-    """Return with what a held contact would have to pull in an impact [N s], 0 for none.
+    """Return the tensile impulse of a held contact in an impact [N s], 0 for none.
 
-    `push` (3,) is the impulse on the robot at it, in world axes, `impulse` that of the impact, of any shape.
+    `push` (3,) is the impulse on the robot at the held contact, in world axes; `impulse` (any shape) is that
+    of the impact, for the scale.
     """
     found = -float(geometry.axes[2] @ push)
     return found if found > ROUNDING * float(np.linalg.norm(impulse)) else 0.0
@@ -69,7 +70,7 @@ def check_at_rest(
 def warn_of_pulls(
     geometries: Sequence[ContactGeometry], held: Sequence[Contact], impulses: Array, impulse: Array
 ) -> None:
-    """Warn of held contacts that pull on their surfaces, where the caller of `impact` stands; see `pull`."""
+    """Warn of held contacts that pull on their surfaces, at the line that called `impact`; see `pull`."""
     for anchor, geometry, push in zip(held, geometries, impulses, strict=True):
         needed = pull(geometry, push, impulse)
         if needed > 0.0:

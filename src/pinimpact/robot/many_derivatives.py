@@ -105,21 +105,31 @@ class ContactRow(NamedTuple):
         places.force_slopes(*self.tree, self.place.at, self.place.shifts, f1, f2, f3, out)
 
     def turned(self, force: Array) -> Array:
-        """Return how a vector (3,) that is fixed in the contact axes changes with q, (3, nv)."""
+        """Return the derivative by q (3, nv) of a vector (3,) that is fixed in the contact axes."""
         return np.asarray(-pin.skew(force) @ self.turns)
 
 
 class RowSlopes:
-    """How the rows of contacts of a robot, and its mass, change with its configuration.
+    """Derivatives of the rows of contacts of a robot, and of its mass matrix, by the configuration.
 
-    Of contacts of two shapes, `corners` has by their place among the contacts the corners that they stand
-    for. Of `spare`, a Data of the model, nothing else is read. `on_surface` see
-    `contact_kinematics.jacobian`. Raises `InputError` for a corner whose motion is not known.
+    Args:
+        placed: The robot at a configuration.
+        contacts: The contacts.
+        corners: Corners of patches of two shapes, by the index of their contact.
+        spare: A Data of the model as scratch; None to create one.
+        on_surface: See `contact_kinematics.jacobian`.
 
-    `tree` is that of the robot, `axes` (3, 3) and `rows` are those of each contact; `carried` the contacts of
-    the features that meet, with points and faces fixed to the shapes, `fixed` the rows of these, and `signs`
-    −1 for those whose tip is on the second shape, else 1; `features_meet` if a corner is a vertex of one
-    shape on an edge of the other.
+    Attributes:
+        tree: The `Tree` of the robot.
+        axes: (3, 3) axes of each contact.
+        rows: `ContactRow` of each contact.
+        carried: Contacts with points and faces fixed to the shapes; those of corners are of their features.
+        fixed: `ContactRow` of each of `carried`.
+        signs: (n,) −1 for contacts of `carried` whose tip is on the second shape, else 1.
+        features_meet: Whether a corner is a vertex of one shape on an edge of the other.
+
+    Raises:
+        InputError: The motion of a corner is not known.
     """
 
     def __init__(
@@ -169,7 +179,7 @@ class RowSlopes:
 def rows_of(
     placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool
 ) -> tuple[list[ContactGeometry], list[ContactRow]]:
-    """Return geometry and rows of contacts, with components along the axes if these turn, or in the world."""
+    """Return geometry and rows of contacts, in contact axes if `turns`, else in world axes."""
     at = [placed.geometry(contact) for contact in contacts]
     rows = [
         ContactRow(tree, contact_place(placed, tree, *one, turns, len(tree.joint)))
@@ -179,10 +189,10 @@ def rows_of(
 
 
 class ManySlopes:
-    """How the data of an impact of a robot at n contacts and joint stops change with its configuration.
+    """Derivatives by q of the data of an impact at n contacts and joint stops. (D17), (D21)
 
-    Stops come last in the matrices; free (nv,) are the velocities that are not locked; corners and on_surface
-    as in `RowSlopes`. `delassus` (nv, 3n, 3n) is ∂W/∂q. (D17), (D21)
+    Stops come last in the matrices; `free` (nv,) are velocities that are not locked; `corners` and
+    `on_surface` as for `RowSlopes`. `delassus` (nv, 3n, 3n) is ∂W/∂q.
     """
 
     def __init__(
@@ -221,7 +231,7 @@ class ManySlopes:
         return out
 
     def change(self, impulse: Array) -> Array:
-        """Return how q̇⁺ changes with q (nv, nv) for impulses (3n,) fixed in the axes of contacts."""
+        """Return ∂q̇⁺/∂q (nv, nv) for constant impulses (3n,) in contact axes."""
         matrices = self.matrices
         forces = self._robot.forces(impulse.reshape(-1, 3)[: len(self._robot.rows)])
         forces -= np.tensordot(impulse, self._of_mass, 1)
@@ -231,7 +241,7 @@ class ManySlopes:
         return responses(self._placed, matrices.held, self._free, forces, sliding)
 
     def turned(self, impulse: Array) -> Array:
-        """Return how impulses (3n,) fixed in the axes of contacts change in the world, (n, 3, nv)."""
+        """Return the derivative by q (n, 3, nv), in world axes, of impulses (3n,) fixed in contact axes."""
         given = zip(self._robot.rows, self._robot.axes, impulse.reshape(-1, 3), strict=False)
         return np.array([row.turned(axes.T @ one) for row, axes, one in given])
 
@@ -287,7 +297,7 @@ def _assembled(of_matrices: ManySlopes, v: Array, impulse: Array, found: Slopes)
 
 
 def state_changes(velocity: Array, delassus: Array, bends: Array) -> list[Change]:
-    """Return changes of an impact's data by columns of velocities (3n, m) and of W, (m, 3n, 3n).
+    """Return m changes of the data of an impact, from those of velocities (3n, m) and of W (m, 3n, 3n).
 
     `bends` (n,) are de/d(approach speed) of the contacts.
     """

@@ -109,7 +109,7 @@ def impact_at_many(
 
 
 def check_many(contacts: Sequence[Contact], held: Sequence[Contact]) -> tuple[Contact, ...]:
-    """Refuse what are no contacts, or none; return the held contacts."""
+    """Raise `InputError` unless `contacts` are contacts of single points; return the held contacts."""
     if not contacts:
         raise InputError("contact: no contact given", value=contacts)
     for contact in contacts:

@@ -30,7 +30,7 @@ class ContactMatrices(ContactGeometry):
     Attributes, in addition to those of `ContactGeometry`:
         mass: (nv, nv) M, with rotor inertia, of free joints.
         delassus: (3, 3) W, with held contacts, and locked and stiffened joints [1/kg].
-        response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with the same.
+        response: (nv, 3) Δq̇ per unit impulse in contact axes, M⁻¹Jᵀ, under the same constraints.
         held: Geometry of each held contact.
         held_response: (k, 3, 3) impulse on each held contact (world axes) per impulse in contact axes.
         factor: (3, 3) lower triangular C with W = CCᵀ, see `ImpactProblem`; None with held contacts.
@@ -158,7 +158,7 @@ def _placed(
     locked: Sequence[str | int],
     stiffening: Stiffening,
 ) -> tuple[PlacedRobot, tuple[ContactGeometry, ...], Array]:
-    """Return the robot, the geometry of what is held, and the mobilities (nv,) of the velocities."""
+    """Return the robot, the geometry of the held contacts, and the mobilities (nv,) of the velocities."""
     mobility = mobilities(model_of(model), locked, stiffening)
     held = check_held(held)
     placed = PlacedRobot(model, data, q)
@@ -175,8 +175,8 @@ def checked_matrices(
 ) -> ManyMatrices:
     """Return the matrices of n contacts and of joint stops, for checked arguments.
 
-    `anchors` are held contacts; mobility (nv,) see `mobilities`. The rows (m, nv) of stops are like contacts
-    without tangential directions. `on_surface` see `contact_kinematics.jacobian`.
+    `anchors` are held contacts, `mobility` (nv,) is that of `mobilities`. Rows `stops` (m, nv) of joint stops
+    become contacts without tangential directions. For `on_surface` see `contact_kinematics.jacobian`.
     """
     mass = placed.mass_matrix()
     k, n = len(contacts), len(contacts) + len(stops)
@@ -192,9 +192,10 @@ def checked_matrices(
 def _responses(
     placed: PlacedRobot, mass: Array, jacobian: Array, anchors: Sequence[ContactGeometry], mobility: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian.
+    """Return W (m, m), the responses of q̇ (nv, m) and of held contacts (k, 3, m), L (nv, nv) and Y (m, nv).
 
-    Also returns L and Y (m, nv).
+    They are for rows (m, nv) of a Jacobian, under the constraints of held contacts `anchors` and of
+    `mobility`.
     """
     m, nv = jacobian.shape
     parents = placed.cache.parents
@@ -214,6 +215,7 @@ def _responses(
 
 
 def _rounding(rows: Array) -> float:
+    """Return the relative size of singular values of `rows` that are rounding."""
     return 32.0 * _EPS * max(rows.shape)
 
 
@@ -225,10 +227,11 @@ def independent(rows: Array) -> tuple[Array, Array, Array]:
 
 
 def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
-    """Project the rows of `anchored` out of the rows of `y` (both L⁻ᵀ of rows of Jacobians).
+    """Project the rows of `anchored` (k, nv) out of the rows of `y` (m, nv), both L⁻ᵀ of rows of Jacobians.
 
-    Returns the remaining y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
-    least norm that balance the rest.
+    Returns:
+        The projected y (m, nv), with singular values within rounding set to zero, and the impulses (k, m) of
+        least norm on the anchored rows.
     """
     tolerance = _rounding(anchored)
     left, sizes, right = independent(anchored)

@@ -1,4 +1,4 @@
-"""Derivatives of a robot's impact to one side where there are none to both. (docs/derivatives.md, 6)"""
+"""One-sided derivatives of the impact of a robot. (docs/derivatives.md, 6)"""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def fill_one_sided_of_robot(
     contact: Contact,
     evaluate: Callable[[Array, Array, Contact], Array],
 ) -> None:
-    """Fill columns of the derivatives of an impact that are NaN, to one side, 1 or −1.
+    """Replace columns of NaN in the derivatives of an impact by their one-sided limits, to `side` 1 or −1.
 
-    The block (nv + 3, 2 nv + 9) is that of `ImpactDerivatives`, at q (nq,) and v (nv,) before the impact;
-    `evaluate` returns it for others of q, v and contact.
+    `block` (nv + 3, 2 nv + 9) is that of `ImpactDerivatives` at q (nq,) and v (nv,); `evaluate` returns it
+    for other values of q, v and contact.
     """
     nv, plane, mu, speed = len(v), contact.plane, contact.friction, float(np.linalg.norm(v))
     sizes = np.concatenate([np.ones(nv), np.full(nv + 6, speed), [mu if mu > 0.0 else 1.0, 1.0]])

@@ -38,7 +38,7 @@ LOCKED = int(Status.LOCKED)
 """The last status with a solution."""
 
 _FLOAT = np.dtype(np.float64)
-# bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
+# bound once: an impact takes microseconds, so lookups of module attributes matter
 _Model = pin.Model
 _Array = np.ndarray
 _empty = np.empty
@@ -238,7 +238,7 @@ def impact(
     if type(contact) is not Contact or contact.geometry is not None or contact.rim > 0.0 or general:
         asked = ImpactOptions(held, locked, method, record, simultaneous, stiffening, options)
         return _general_impact(robot, model, data, q, v, contact, asked)
-    # the common case of what `float_array` returns, in a tenth of its time
+    # fast path for arguments that `float_array` would return unchanged
     usual = type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape and q.flags.carray
     q_now: Array = q if usual else float_array("q", q, cache.q_shape)  # type: ignore[assignment]
     usual = type(v) is _Array and v.dtype == _FLOAT and v.shape == cache.v_shape and v.flags.carray
@@ -262,7 +262,7 @@ def impact(
 
 
 def _refuse_or_warn(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array, hit: Hit) -> None:
-    """Raise the error of an impact that has no answer, or warn of a q outside the joint limits."""
+    """Raise the error of an impact without solution, or warn of a q outside the joint limits."""
     if 0 <= ended[0] <= LOCKED:
         cache.warn_of_limits(q, stacklevel=5)
         return
@@ -284,7 +284,7 @@ def _general_impact(
     contact: Any,
     asked: ImpactOptions,
 ) -> Hit | ManyHit:
-    """Compute the impact at several contacts, at what a collision shape touches, or with other options."""
+    """Compute the impact at several contacts, of a collision shape, or with options that the kernel lacks."""
     if isinstance(contact, Sequence) and not isinstance(contact, str):
         points = [point for one in contact for point in _points(robot, data, q, one)]
         return impact_at_many(model, data, q, v, points, asked)
@@ -302,7 +302,7 @@ def _general_impact(
 
 
 def _points(robot: Any, data: pin.Data, q: ArrayLike, contact: Any) -> list[Contact]:
-    """Return the points at which a collision shape touches; anything else by itself."""
+    """Return the contacts of single points of a collision shape; any other contact unchanged."""
     if not isinstance(contact, Contact) or contact.geometry is None:
         return [contact]
     nearest = touching_points if is_pair(robot, contact) else touching_tips
@@ -325,7 +325,7 @@ def impact_by_pinocchio(
 
 
 def restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:
-    """Return e for the speed at which the contact approaches; 0 where v is not finite."""
+    """Return e for the approach speed of the contact; 0 if v is not finite."""
     speed = -float(contact_geometry(model, data, q, contact).velocity(v)[2])
     return contact.restitution_at(max(speed, 0.0)) if speed < math.inf else 0.0
 
@@ -340,7 +340,7 @@ def impact_in_steps(
 ) -> Hit:
     """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply.
 
-    Held contacts may move as far as constraint drift lets them, which the impact does not change.
+    The impact does not change a small velocity of held contacts, from constraint drift.
     """
     held = check_held(asked.held)
     matrices = contact_matrices(model, data, q, contact, held, asked.locked, asked.stiffening)
@@ -379,8 +379,8 @@ def impact_in_steps(
 def _joint_reactions(placed: PlacedRobot, change: Array, contacts: Sequence[Contact], pushes: Array) -> Array:
     """Return the impulsive wrenches through the joints (joints, 6), see `Hit.joint_reactions`.
 
-    By inverse dynamics without gravity of the change (nv,) of velocity, with the impulses `pushes` (k, 3) of
-    the contacts, in world axes, as external forces.
+    They are the inverse dynamics, without gravity, of the velocity change (nv,), with the impulses `pushes`
+    (k, 3) at the contacts, in world axes, as external forces.
     """
     model, data = placed.model, placed.data
     if isinstance(data, Forest):

@@ -96,8 +96,8 @@ FAR = 1e12
 def shape_pair(robot: Any, contact: Contact) -> ShapePair:
     """Return the two shapes of a contact with a `geometry`, and a solid or a sphere as its `plane`.
 
-    Raises `InputError` where there are none, none that are convex, or two that cannot move relative to each
-    other, `UnknownNameError` with similar names.
+    Raises `InputError` if there are none, if they are not convex, or if they cannot move relative to each
+    other; `UnknownNameError`, with similar names, for an unknown shape.
     """
     a, b = two_shapes(robot, contact.geometry or "", contact.rim_points, contact.plane)
     if not motion_signs(model_of(robot), a.joint, b.joint).any():
@@ -156,10 +156,10 @@ def feature_contact(
     edges: Array,
     basis: Contact,
 ) -> Contact:
-    """Return the contact of two shapes as long as some features touch, by the code of their kind.
+    """Return the contact of two shapes with given features in contact, by the code of their kind.
 
-    Its tip is on B where the kind is `TIP_PLANE`. Other arguments are those of `point_contact`, with points
-    of the cores, and the directions of edges.
+    Its tip is on B for the kind `TIP_PLANE`. `cores` are the points (3,) of the cores, `edges` (2, 3) the
+    directions of the edges; other arguments as for `point_contact`.
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     if kind == TIP_PLANE:
@@ -242,16 +242,16 @@ def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) ->
 
 
 def known(place: list[PointContact]) -> PointContact:
-    """Return the contact at a place, with `lasting` None where several features are there."""
+    """Return the contact at a place; `lasting` is None if several features are in contact there."""
     return place[0] if len(place) == 1 else place[0]._replace(lasting=None)
 
 
 def contact_now(
     model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact, pair: ShapePair | None
 ) -> tuple[Contact, Contact | None, bool]:
-    """Return a contact as it is at q (nq,): `instant`, `lasting` and `swapped` of a `PointContact`.
+    """Return `instant`, `lasting` and `swapped` of a contact at q (nq,), as in `PointContact`.
 
-    Its two shapes are given as `pair`, if it has any. If they touch at several places `lasting` is None.
+    `pair` are its two shapes, if any. `lasting` is None if they touch at several places.
     """
     if pair is None:
         return contact, contact, False

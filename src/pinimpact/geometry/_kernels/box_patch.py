@@ -15,10 +15,10 @@ from ..tolerances import COINCIDE, FACE, TIE
 from .constants import EDGE, PLANE, TIP_PLANE
 
 MOST = 8
-"""Corners of a patch: a face clipped by another."""
+"""Largest number of corners of a patch, a face clipped by another."""
 
 SIDE = 1.0
-"""A side of the face by which another is clipped."""
+"""Mark of an edge of a clipped polygon that is a side of the clipping face."""
 
 
 @inlined
@@ -83,18 +83,23 @@ def facing_axis(a, n1, n2, n3):
 
 @inlined
 def beyond(height, tolerance):
-    """Return a height over a side, none within the tolerance."""
+    """Return a height beyond a side, zero within the tolerance."""
     return height if height > tolerance else min(height, 0.0)
 
 
 @external
 def clip_face(a, half_a, axis, side, b, half_b, face, up, tolerance, polygon):
-    """Fill the corners of a face of A within the sides of a face of B; return how many there are.
+    """Clip a face of A by the sides of a face of B; return the number of corners.
 
-    A corner is given along the two other axes of B, from its centre, as the height over the face, and by the
-    line from it to the next corner: of A below `SIDE`, else of B. The faces are those of A's axis and of B's
-    axis `face`, on the sides ±1 `side` and `up`. What is beyond a side by less than the tolerance [m] lies in
-    it: an edge along it crosses it nowhere. Polygon is (2 `MOST`, 4).
+    Args:
+        a, half_a, b, half_b: The boxes.
+        axis, side: Axis of the face of A, and its side, ±1.
+        face, up: Axis of the face of B, and its side, ±1.
+        tolerance: Points beyond a side by less than this lie in it [m], so that edges along a side do not
+            cross it.
+        polygon: (2 `MOST`, 4) is overwritten with the corners: coordinates along the two other axes of B,
+            from its centre; the height over the face of B; the mark of the edge to the next corner, 0 for one
+            of A, `SIDE` for one of B.
     """
     p, q, k, o = (axis + 1) % 3, (axis + 2) % 3, (face + 1) % 3, (face + 2) % 3
     other, count = np.empty((2 * MOST, 4)), 4
@@ -142,7 +147,7 @@ def nearest_on_edges(along_a, half_a, along_b, half_b, cosine):
     determinant = 1.0 - cosine * cosine
     if determinant > 0.0:
         s = min(max((cosine * along_b - along_a) / determinant, -half_a), half_a)
-    else:  # the middle of what lies side by side
+    else:  # parallel: the middle of the overlap
         low = min(max(-along_a - half_b, -half_a), half_a)
         s = 0.5 * (low + min(max(-along_a + half_b, -half_a), half_a))
     t = min(max(along_b + s * cosine, -half_b), half_b)
@@ -163,11 +168,16 @@ def edge_middle(a, half, i, first, second):
 
 @external
 def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others):
-    """Write the closest points of an edge of A and one of B to the first rows.
+    """Compute the closest points of an edge of A and one of B.
 
-    Return their distance, and whether they are within both edges. The edge of A is along its axis i, on the
-    sides p and q, ±1, of the two axes after it, that of B likewise j, k, o; points and others (k, 3) are of A
-    and of B.
+    Args:
+        a, half_a, b, half_b: The boxes.
+        i, p, q: The edge of A is along its axis i, on the sides p and q, ±1, of the two axes after it.
+        j, k, o: Likewise for B.
+        points, others: (…, 3) the first rows are overwritten with the points of A and of B.
+
+    Returns:
+        Their distance, and whether they are within both edges.
     """
     x1, x2, x3 = edge_middle(a, half_a, i, p, q)
     y1, y2, y3 = edge_middle(b, half_b, j, k, o)
@@ -184,7 +194,7 @@ def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others)
 
 @external
 def nearest_edges(a, half_a, b, half_b, size, points, others):
-    """Write the mean of the closest points of all edges of two boxes first; return the distance."""
+    """Write the mean of the closest points of all pairs of edges to the first rows; return the distance."""
     best, count = math.inf, 0
     one, other = np.empty((1, 3)), np.empty((1, 3))
     for i in range(3):
@@ -210,12 +220,17 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
 )
 @jit
 def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds, edges):
-    """Fill the contact patch of two boxes within a distance; return the number of points, 0 if apart.
+    """Compute the contact patch of two boxes; return the number of its points, 0 if they are apart.
 
-    Points (`MOST`, 3) [m] are of A, others opposite to them of B; gaps (`MOST`,) are along the normal (3,),
-    from B to A, negative where they overlap. Kinds (`MOST`,) are codes of what meets: `PLANE` for a point of
-    A on a face of B, `TIP_PLANE` for one of B on one of A, `EDGE`; edges (2, 3) take the directions of the
-    edges of A and B that meet, if any.
+    Args:
+        a, half_a, b, half_b: The boxes.
+        within: Distance up to which points belong to the patch [m].
+        normal: (3,) is overwritten with the normal from B to A.
+        points, others: (`MOST`, 3) are overwritten with points of A, and the opposite points of B [m].
+        gaps: (`MOST`,) is overwritten with the gaps along the normal, negative for overlap [m].
+        kinds: (`MOST`,) is overwritten with the features: `PLANE` for a point of A on a face of B,
+            `TIP_PLANE` for one of B on a face of A, `EDGE` for two edges.
+        edges: (2, 3) is overwritten with the directions of the edges of A and B, for `EDGE`.
     """
     value, n1, n2, n3, kind = separate(a, half_a, b, half_b)
     if value > within:
@@ -256,7 +271,7 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds,
 
 @external
 def crossing_edges(a, half_a, b, half_b, pair, normal, points, others, kinds, edges):
-    """Fill the patch of two boxes whose edges, of axes i of A and j of B, are closest; `pair` is 3 i + j."""
+    """Fill the patch of two boxes with edges along axes i of A and j of B closest; `pair` is 3 i + j."""
     n1, n2, n3 = normal
     i, j = pair // 3, pair % 3
     p, q, k, o = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
@@ -284,11 +299,11 @@ def sign(x):
 
 @external
 def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, points, others, gaps, kinds, kind):
-    """Fill the patch of A over a face of B, as `box_patch` does; return −1 if A is beyond its sides.
+    """Fill the patch of A over a face of B; return the number of points, −1 if A is beyond its sides.
 
-    Corners are points of A, of this kind. Where the two faces are parallel corners of B are points of B, and
-    where edges cross they are points of the first box, so that it does not matter which face is the
-    reference. Other arguments are as in `clip_face`.
+    Corners are points of A, with the code `kind`. For parallel faces corners of B are points of B, and
+    crossings of edges points of the first box, so that the result does not depend on which face is the
+    reference. Other arguments as for `clip_face` and `box_patch`.
     """
     polygon = np.empty((2 * MOST, 4))
     tolerance = COINCIDE * math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2)
