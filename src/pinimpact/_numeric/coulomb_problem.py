@@ -30,7 +30,7 @@ from .least_norm import least_norm
 from .loops import assign, flags, repeated
 from .products import apply
 from .tolerances import COMPLIANCE, COMPUTED, EXACT, NEAR, ROUNDOFF, SMALL, TINY
-from .tolerances import USABLE as USABLE  # for those who solve
+from .tolerances import USABLE as USABLE  # re-exported
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
 """Types of W, u_free, slip velocities, friction, least normal forces, held, lower, upper bounds, forces."""
@@ -419,7 +419,7 @@ def linearize(
                 system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
                 system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
             right[b], right[b + 1] = -a1, -a2
-        else:  # begins to slip: f_t = μ f_n g/|g|, g = f_t − a_t
+        else:  # incipient slip: f_t = μ f_n g/|g|, g = f_t − a_t
             length = math.hypot(g1, g2)
             u1, u2 = g1 / length, g2 / length
             share = mu[i] * fn / length

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
-from .tolerances import RANK as RANK  # for those who solve
+from .tolerances import RANK as RANK  # re-exported
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float)

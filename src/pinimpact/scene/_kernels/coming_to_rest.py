@@ -19,7 +19,9 @@ from .tolerances import ROUNDING
     FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, FLOATS, INTEGERS, FLOATS
 )
 @external
-def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, metres, on, v):
+def come_to_rest(
+    minverse, rows, start, rests, against, moves, first, error, least, most, metres, keep_sliding, v
+):
     """Stop sticking contacts and held joints by the least change of velocity in the metric of M. (11.9)
 
     Args:
@@ -34,8 +36,8 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
         least: Speed of reversed slip that is attributed to errors [m/s].
         most: Speed up to which a joint may be held [m/s]; a faster one has been accelerated by impulses.
         metres: (nv,) κ of (10.6).
-        on: (m,) is overwritten with the sign of the velocity of each joint that must keep sliding, and 1 for
-            the rows of contacts that must.
+        keep_sliding: (m,) is overwritten with 1 for the rows of contacts that must keep sliding, and with the
+            sign of the velocity for such joints; else 0.
         v: (nv,) the velocity; changed.
 
     Returns:
@@ -50,9 +52,9 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
         resting, tested = rests.copy(), rests.copy()
         energy, fastest = stop_chosen(minverse, rows, resting, start, before, 0.0, v)
         if first < size:
-            # a joint whose row almost depends on contact rows leaves these an error: stop them again
+            # stopping a joint whose row almost depends on contact rows leaves an error in these: stop again
             energy += stop_chosen(minverse, rows[:first], resting, start, before, least, v)[0]
-        filled(on, 0)
+        filled(keep_sliding, 0)
         while True:
             slowest, a = math.inf, -1
             for b in range(first, size):
@@ -63,7 +65,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
                 break
             tested[a], sign = True, 1 if against[a] > 0.0 else -1
             if slowest > most:
-                mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, keep_sliding)
                 continue
             apply(minverse, rows[a], direction)
             apply(rows, direction, speeds)
@@ -74,9 +76,9 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
                 accelerated = slowest > 2.0 * against[a] * start[a]
                 if not (
                     accelerated
-                    and mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                    and mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, keep_sliding)
                 ):
-                    on[a] = sign
+                    keep_sliding[a] = sign
                 continue
             for j in range(n):
                 v[j] -= direction[j] * against[a] * slowest / rate
@@ -94,11 +96,11 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
 
 
 @inlined
-def mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on):
+def mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, keep_sliding):
     """Mark the contacts and joints whose stop makes a joint, row a, move against its force; return if any.
 
     They are those without whose stop, of one or else of all, the joint has less than half of that velocity.
-    They must keep sliding: their rows of `on` are set. Other arguments as in `come_to_rest`.
+    They must keep sliding: their rows of `keep_sliding` are set. Other arguments as in `come_to_rest`.
     """
     size, u, found = len(rows), before.copy(), False
     stop_chosen(minverse, rows, rests, start, before, 0.0, u)
@@ -117,7 +119,7 @@ def mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, on)
             found = True
             for c in range(size):
                 if rests[c] and not others[c]:
-                    on[c] = 1 if c < first or start[c] > 0.0 else -1
+                    keep_sliding[c] = 1 if c < first or start[c] > 0.0 else -1
     return found
 
 

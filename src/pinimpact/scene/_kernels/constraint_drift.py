@@ -32,7 +32,7 @@ def constraint_drift(work, v):
 @declared(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def correct_constraint_drift(work, t, q, v):
-    """Correct the drift of q (nq,) and v (nv,), in place; return the kinetic energy gained [J]. (12.1)"""
+    """Correct constraint drift in q (nq,) and v (nv,); return the kinetic energy gained [J]. (12.1)"""
     index_q, index_v, bound = work.limit_q, work.limit_v, work.limit_bound
     minverse, jacobian = work.minverse, work.contact_jacobian
     gap, rest = work.contact_gap, work.active_rest_gap

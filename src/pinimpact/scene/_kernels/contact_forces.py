@@ -155,11 +155,11 @@ def accelerates_inward(work):
     free, plain, count = np.empty(slipping, dtype=np.int64), np.empty(slipping), 0
     for k in range(slipping):
         apply_symmetric(work.minverse, rows[slips[k]], alone)
-        whole = left = dot(rows[slips[k]], alone)
+        whole = remainder = dot(rows[slips[k]], alone)
         for a in range(holding):
-            left -= answer[k, a] * given[k, a]
-        if left > FINEST * whole:  # else the row depends on the eliminated ones: no force moves it
-            free[count], plain[count] = k, left
+            remainder -= answer[k, a] * given[k, a]
+        if remainder > FINEST * whole:  # else the row depends on the eliminated ones: no force moves it
+            free[count], plain[count] = k, remainder
             count += 1
     effective = np.empty((count, count))
     for k in range(count):

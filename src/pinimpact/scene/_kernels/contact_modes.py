@@ -159,12 +159,12 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
         return what.contacts[jamming], True, gained, 0.0, 0.0
     touching_rows.keep_forces(work, what, force)
     stopped, against = flags(size, False), np.zeros(size)  # see `come_to_rest`
-    pace = np.empty(size)
-    touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, pace)
-    modes_of_contacts(work, what, force, unique, pace, stopped, chosen)
+    threshold = np.empty(size)
+    touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, threshold)
+    modes_of_contacts(work, what, force, unique, threshold, stopped, chosen)
     reject_contacts(work, what, stopped, certain, chosen.rejected)
     scalar = candidates[work.contacts :]
-    modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen)
+    modes_of_scalar_rows(work, what, scalar, force, threshold, stopped, against, chosen)
     start = np.empty(size)
     active_speed = touching_rows.speeds_of_rows(work, what, v, start)
     gained, fastest = stop(work, what, candidates, start, stopped, against, chosen, v)
@@ -198,7 +198,7 @@ def reject_contacts(work, what, stopped, certain, rejected):
 
 
 @inlined
-def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen):
+def modes_of_scalar_rows(work, what, scalar, force, threshold, stopped, against, chosen):
     """Fill the modes of limits and of joints with dry friction from the forces on their rows.
 
     A row opens, or starts to slide, if its force is at a bound and its acceleration points away from it.
@@ -211,8 +211,11 @@ def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chos
         a, i, limit, strength = first + m, what.scalars[m], what.joints[m], force[first + m]
         rubs = scalar[work.limits + i] != 0
         closed = not (
-            (free[a] > pace[a] and strength <= (1.0 - AT_BOUND) * what.lower[m] + work.force_tolerance)
-            or (free[a] < -pace[a] and strength >= (1.0 - AT_BOUND) * what.upper[m] - work.force_tolerance)
+            (free[a] > threshold[a] and strength <= (1.0 - AT_BOUND) * what.lower[m] + work.force_tolerance)
+            or (
+                free[a] < -threshold[a]
+                and strength >= (1.0 - AT_BOUND) * what.upper[m] - work.force_tolerance
+            )
         )
         stopped[a] = closed
         if rubs and not closed:
@@ -234,7 +237,7 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     contacts, joints, scalars, rows, velocity, _, slip, mu, held, _, _ = what
     modes, reference, _, rejected = chosen
     size, closed = len(start), 3 * len(contacts)
-    on, moves = np.zeros(size, dtype=np.int64), flags(size, False)
+    keep_sliding, moves = np.zeros(size, dtype=np.int64), flags(size, False)
     for k in range(len(contacts)):
         b, i = 3 * k, contacts[k]
         if stopped[b] and not held[k]:
@@ -249,15 +252,25 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
         moves[closed + m] = joints[m] >= work.limits and touches
     limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed
     gained, fastest = come_to_rest(
-        work.minverse, rows, start, stopped, against, moves, closed, *limits, work.joint_metres, on, v
+        work.minverse,
+        rows,
+        start,
+        stopped,
+        against,
+        moves,
+        closed,
+        *limits,
+        work.joint_metres,
+        keep_sliding,
+        v,
     )
     for k in range(len(contacts)):
-        if on[3 * k] != 0 or on[3 * k + 1] != 0:
+        if keep_sliding[3 * k] != 0 or keep_sliding[3 * k + 1] != 0:
             rejected[contacts[k]] = KEEPS_SLIDING
     for m in range(len(joints)):
-        rejected[work.contacts + work.limits + scalars[m]] = on[closed + m]
+        rejected[work.contacts + work.limits + scalars[m]] = keep_sliding[closed + m]
         if stopped[closed + m] and against[closed + m] != 0.0:
-            v[scalars[m]] = 0.0  # without a rounding error against the force
+            v[scalars[m]] = 0.0  # a rounding error might point against the force
     return gained, fastest
 
 
@@ -273,7 +286,7 @@ def turn_rows(direction, rows, velocity):
 
 
 @inlined
-def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
+def modes_of_contacts(work, what, force, unique, threshold, stopped, chosen):
     """Fill modes and directions of slip, and which rows stop, `stopped` (m,), from the forces on contacts.
 
     `what` is the `Touching`, whose `free` includes the forces by now; other arguments as in
@@ -290,7 +303,7 @@ def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
             for a in range(b, b + 3):
                 stopped[a] = True
             continue
-        if normal <= work.force_tolerance and acceleration[b + 2] > pace[b]:
+        if normal <= work.force_tolerance and acceleration[b + 2] > threshold[b]:
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
@@ -300,7 +313,7 @@ def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
         pushes = normal > work.force_tolerance
         begins = math.hypot(acceleration[b], acceleration[b + 1])
         inside = pushes and tangent <= (1.0 - AT_BOUND) * mu[k] * normal
-        inside |= (not unique or before[i] != SLIP) and begins <= pace[b]
+        inside |= (not unique or before[i] != SLIP) and begins <= threshold[b]
         if mu[k] > 0.0 and speed == 0.0 and inside:
             modes[i] = STICK
             stopped[b] = stopped[b + 1] = True

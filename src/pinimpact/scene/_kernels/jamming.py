@@ -43,7 +43,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     active_rows(work, v, ALL, rows, np.empty(size))
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, minverse, response, delassus)
-    left = whole = 0.0  # effects of the forces on the normals: they cancel near the singularity
+    net_effect = largest_term = 0.0  # effects of the forces on the normals: they cancel near the singularity
     for k in range(len(mode)):
         total = 0.0
         for a in range(size):
@@ -52,7 +52,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
             )
             part = delassus[3 * k + 2, a] * push
             total += part
-            whole = max(whole, abs(part))
-        left = max(left, abs(total))
+            largest_term = max(largest_term, abs(part))
+        net_effect = max(net_effect, abs(total))
     impossible = without_forces and work.force_margin == -math.inf
-    return impossible or left < singular * whole
+    return impossible or net_effect < singular * largest_term

@@ -295,7 +295,7 @@ def close_gaps(work, h, system, rows, found):
 
 
 @inlined
-def gains(h, system, rows, v, pushed, found):
+def adds_energy(h, system, rows, v, pushed, found):
     """Return whether contacts add more energy in a step from v (nv,) than `STEPS_GAIN` allows.
 
     With rows of the midpoint and J v⁺ = 0 their work is −½ (J v)ᵀ W⁻¹ J v ≤ 0. The change b of the rows, and
@@ -352,7 +352,7 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
     """
     first, before = begin.copy(), pushed.copy()
     result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, True)
-    found.bent[0] = work.callback_failed or not gains(h, system, rows, v, pushed, found)
+    found.bent[0] = work.callback_failed or not adds_energy(h, system, rows, v, pushed, found)
     if found.bent[0]:
         return result
     assign(begin, first)

@@ -32,7 +32,7 @@ AT_BOUND = NEGLIGIBLE
 """Distance from a bound, relative to the bound, at which a drive effort or a friction force is at it."""
 
 SINGULAR_STILL = 1e-7
-"""Pivot, relative to the largest, that is taken as zero once pivots have been below `RANK`. The larger value
+"""Pivot, relative to the largest, that is taken as zero once a pivot has been below `RANK`. The larger value
 keeps the rank from alternating in a motion close to a singular state."""
 
 FINEST = NOISE

@@ -149,27 +149,29 @@ def determines_forces(delassus):
 
 
 @inlined
-def resulting_accelerations(delassus, free, force, contacts, unique, pace):
+def resulting_accelerations(delassus, free, force, contacts, unique, threshold):
     """Add the effect of the forces (m,) to the accelerations `free` (m,) of the rows.
 
-    `pace` (m,) is overwritten with the bounds (11.10) up to which accelerations are taken as zero; `unique`
-    is whether the Delassus matrix is regular.
+    `threshold` (m,) is overwritten with the bounds (11.10) up to which accelerations are taken as zero;
+    `unique` is whether the Delassus matrix is regular.
     """
     size, closed = len(free), 3 * contacts
     width, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
     unit = scale(delassus, free, contacts, width, scale_a, scale_f)
     for a in range(size):
-        pace[a] = abs(free[a])
+        threshold[a] = abs(free[a])
         for b in range(size):
             part = delassus[a, b] * force[b]
             free[a] += part
-            pace[a] += abs(part)
+            threshold[a] += abs(part)
     for a in range(size):
         if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
-            pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
-        pace[a] = (ROUNDED if unique else NEGLIGIBLE) * (pace[a] + LEAST_SIZE)
+            threshold[a] = threshold[a + 1] = threshold[a + 2] = max(
+                threshold[a], threshold[a + 1], threshold[a + 2]
+            )
+        threshold[a] = (ROUNDED if unique else NEGLIGIBLE) * (threshold[a] + LEAST_SIZE)
         if unit > 0.0:  # effect of the error of the forces
-            pace[a] += USABLE / scale_a[a]
+            threshold[a] += USABLE / scale_a[a]
 
 
 @inlined

@@ -39,9 +39,7 @@ class SceneWorkspace(Workspace):
 
     active_contacts = count("closable", "active contacts")
     active_scalars = count("scalars", "active scalar rows: limits, then joints held by dry friction")
-    active_rows = count(
-        "rows", "active rows: one of a slipping contact, three of any other, one per scalar row"
-    )
+    active_rows = count("rows", "active rows: one of a slipping contact or scalar, three of another contact")
 
     # the robot, where Pinocchio reads and writes it
     calls = integers(CALLS, meaning="addresses of functions and their arguments, see `dynamics`")
@@ -63,9 +61,7 @@ class SceneWorkspace(Workspace):
     drive_damping = reals("nv", meaning="of the drives [N s/m or N m s/rad]")
     drive_reference = reals("nv", meaning="reference positions of the drives [m or rad]")
     drive_limit = reals("nv", meaning="effort limits of the drives [N or N m]")
-    drive_side = integers(
-        "nv", meaning="of each drive: 1 at its upper effort limit, −1 at its lower one, else 0"
-    )
+    drive_side = integers("nv", meaning="1 for drives at their upper effort limit, −1 at the lower, else 0")
     damping = reals("nv", meaning="viscous damping of the joints")
     stiff_joints = flag("whether drives or damping may require implicit steps, see `stiff_drives`")
     dry_friction = reals("nv", meaning="dry friction of the joints [N or N m]")
@@ -78,15 +74,9 @@ class SceneWorkspace(Workspace):
     velocity_parent = integers("nv", meaning="the preceding velocity on the path to the root, or −1")
     velocity_signs = reals("nv", meaning="of a contact: 1 moves the tip only, −1 the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
-    joint_metres = reals("nv", meaning="κ of (10.6): m per unit of velocity, 1 for sliding joints")
-    contact_blocks = integers(
-        "blocks", 3, meaning="first contact, the one after the last, and the bounding sphere or −1"
-    )
-    sphere_constants = reals(
-        "spheres",
-        CONSTANTS,
-        meaning="of the bounding spheres, as `contact_constants`; joints of the first contact",
-    )
+    joint_metres = reals("nv", meaning="κ of (10.6): m per unit of velocity, 1 for prismatic joints")
+    contact_blocks = integers("blocks", 3, meaning="first contact, the one after the last, sphere or −1")
+    sphere_constants = reals("spheres", CONSTANTS, meaning="as of a contact; joints of the first contact")
     friction = reals("contacts", meaning="coefficients of friction of sustained contact")
     bilateral = integers("contacts", meaning="1 for a held contact")
     rest_gap = reals("contacts", meaning="gap of each contact while it is active [m]")
@@ -97,15 +87,13 @@ class SceneWorkspace(Workspace):
 
     # modes and active set
     modes = integers(
-        "sources", meaning="mode of each contact; 1 for an active limit; 1 for a joint held by dry friction"
+        "sources", meaning="of contacts; 1 for an active limit; 1 for a joint held by dry friction"
     )
     active_index = integers("active_contacts", meaning="number of the contact")
     active_mode = integers("active_contacts", meaning="its mode")
     active_friction = reals("active_contacts", meaning="its coefficient of friction")
     active_rest_gap = reals("active_contacts", meaning="its `rest_gap` [m]")
-    slip_reference = reals(
-        "active_contacts", 2, meaning="reference direction of slip: the last one determined"
-    )
+    slip_reference = reals("active_contacts", 2, meaning="reference (last known) direction of slip")
     start_directions = reals("active_contacts", 2, meaning="`slip_reference` at the start of the step")
     end_directions = reals("active_contacts", 2, meaning="`slip_reference` at the end of the step")
     scalar_velocity = integers("active_scalars", meaning="index in v of each scalar row")
@@ -124,13 +112,8 @@ class SceneWorkspace(Workspace):
     system = reals("active_rows", "active_rows", meaning="matrix G M⁻¹H of (9.3)")
     target = reals("active_rows", meaning="right-hand side −a° of (9.3)")
     solution = reals("active_rows", meaning="solution x of (9.3) [N]")
-    inner_forces = reals(
-        "active_rows",
-        meaning="known admissible forces; if (9.3) is singular, the nearest solution to them is used",
-    )
-    found_forces = reals(
-        "sources", 3, meaning="forces from the last choice of modes; those of scalar rows in column 0"
-    )
+    inner_forces = reals("active_rows", meaning="known forces; a singular (9.3) is solved nearest to them")
+    found_forces = reals("sources", 3, meaning="from the last choice of modes; of scalar rows in column 0")
     slips = integers("contacts", meaning="1 for contacts treated as sliding in the last choice of modes")
     stage_reactions = reals(13, "nv", meaning="v̇ due to active rows, at the stages of an explicit step")
     samples = integer("number of samples of the current step, see `samples`")
@@ -181,9 +164,7 @@ class SceneWorkspace(Workspace):
     step_length = real("its length [s]")
     method = integer("of an explicit step: 0, 1, 2 for orders 8, 5, 3, see `step_dop853`")
     step_turns = flag("whether the directions of slip were unknowns of the step, see `step_radau`")
-    gap_bounds = reals(
-        "contacts", 4, meaning="bounds of the motion over the step, see `gap_bounds.curvatures`"
-    )
+    gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
     turning_bounds = reals("contacts", meaning="ρ C of (15.4) for rims, see `contact_motion.turning_bound`")
     sphere_bounds = reals("spheres", 4, meaning="`gap_bounds` of the bounding spheres")
     clear_blocks = integers("blocks", meaning="1 if no contact of the group can close its gap in the step")

@@ -41,5 +41,5 @@ def find_first_event(work):
     _store(work, SATURATION, saturation.first(work, _end(work)))
     _store(work, FRICTION_REVERSAL, friction_reversal.first(work, _end(work)))
     _store(work, SLIP_END, slip_end.first(work, _end(work)))
-    if work.event_time > -math.inf:  # else a shorter step is asked for
+    if work.event_time > -math.inf:  # else a shorter step is required
         _store(work, FORCE_BOUND, force_bound.first(work, _end(work)))
