@@ -169,7 +169,7 @@ def test_public_docstrings_and_names() -> None:
     assert found == []
 
 
-PLAIN = ("_compile", "_numeric", "app", "geometry", "robot", "studies", "visual")
+PLAIN = ("_compile", "_numeric", "app", "geometry", "robot", "scene/_kernels", "studies", "visual")
 """Packages whose private docstrings and comments are in plain terms too."""
 
 

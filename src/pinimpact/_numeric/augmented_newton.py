@@ -179,7 +179,7 @@ def fill_system(problem, profile, r, u, before, coupled, system):
 
 
 @external
-def balance(problem, r, before, now):
+def evaluate(problem, r, before, now):
     """Fill u, f⁺, M w and the residual of an `Iterate` from its w; return the relative norm of the residual.
 
     Momenta are scaled by 1/√M_aa. Other arguments are those of `fill_system`.
@@ -295,7 +295,7 @@ def solve_compliances(problem, profile, r, before, least, now, system):
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
         answer_signals()
-        error = balance(problem, r, before, now)
+        error = evaluate(problem, r, before, now)
         if step == STEPS or error <= least or (error < 1e3 * least and error > 0.5 * previous_error):
             break
         previous_error, share = error, 0.0

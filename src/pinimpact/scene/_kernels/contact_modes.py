@@ -20,7 +20,7 @@ from .approach import PRESSED, SLIDES, TOUCHES
 from .coming_to_rest import come_to_rest
 from .contact_forces import FREE, HELD, SLIP, STICK, delassus_of_rows
 from .dynamics import evaluate_without_contacts, invert_mass_matrix, set_state
-from .slip import CERTAIN, behind, error_of_step, fastest_of
+from .slip import CERTAIN, error_of_step, fastest_of, reversal_tolerance
 from .tolerances import AT_BOUND, STILL
 from .workspace import SceneWorkspace
 
@@ -250,7 +250,7 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     for m in range(len(joints)):
         touches = candidates[work.contacts + joints[m]] == TOUCHES
         moves[closed + m] = joints[m] >= work.limits and touches
-    limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed
+    limits = CERTAIN * error_of_step(work, v), reversal_tolerance(work), work.stick_speed
     gained, fastest = come_to_rest(
         work.minverse,
         rows,

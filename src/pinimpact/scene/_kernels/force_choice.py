@@ -27,11 +27,11 @@ def choose_forces(work, t, out):
     """Choose the forces at the start of a motion, just evaluated; `out` as in `dynamics.evaluate`."""
     if work.forces_unique:
         return
-    if admissible(work, t, out) or not slips_with_friction(work):
+    if make_admissible(work, t, out) or not slips_with_friction(work):
         return
     use_found_forces(work)
     evaluate(work, t, out)
-    if admissible(work, t, out):
+    if make_admissible(work, t, out):
         return
     filled(work.inner_forces, 0.0)
     evaluate(work, t, out)
@@ -48,7 +48,7 @@ def doubtful_margin(work):
 
 
 @inlined
-def admissible(work, t, out):
+def make_admissible(work, t, out):
     """Return whether the forces satisfy their bounds and every incipient slip is opposed by its friction.
 
     If the forces last evaluated violate bounds, other forces with the same motion that do not replace them.

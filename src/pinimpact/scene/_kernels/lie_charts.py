@@ -168,7 +168,7 @@ def add_turning(joints, v, factor, out):
 
 
 @inlined
-def gone_astray(xi, v):
+def diverged(xi, v):
     """Return whether chart coordinates or velocities exceed `ASTRAY` or are not finite."""
     exceeded = False
     for m in range(len(v)):

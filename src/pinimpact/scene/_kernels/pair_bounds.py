@@ -147,7 +147,7 @@ def lowest(R, vertices, d1, d2, d3):
     FLOAT_ROWS, INTEGER_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, float, FLOATS
 )
 @external
-def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
+def acceleration_bounds(placements, joints, J, centers, reaches, moves, peak, h, out):
     """Fill bounds over a step of the relative acceleration of any points of two shapes [m/s²]. (10.2), (10.3)
 
     They are sums of those of both shapes in world axes: d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k with
@@ -201,13 +201,13 @@ def stay_apart(
 
     Intervals are halved until the bound between their ends exceeds the least distance, or a pair is nearer at
     one of the times. Pairs that fail are tested once more along directions turned by `turn_to_gaps`. Other
-    arguments are those of `separations` and `bends`.
+    arguments are those of `separations` and `acceleration_bounds`.
 
     Args:
         calls: (4,) addresses, see `separations`; then those of the function that computes J and placements.
         q: (nq,) array from which both functions read q.
         least: (p,) distances that the pairs must keep [m].
-        bounds: (p,) is overwritten with the result of `bends`.
+        bounds: (p,) is overwritten with the result of `acceleration_bounds`.
         apart: (p,) is overwritten with whether the pairs stay apart.
 
     Returns:
@@ -220,7 +220,7 @@ def stay_apart(
     assign(q, q0)
     if not call(calls[2], calls[3]):
         return False
-    bends(placements, joints, J, centers, reaches, moves, peak, h, bounds)
+    acceleration_bounds(placements, joints, J, centers, reaches, moves, peak, h, bounds)
     while True:
         if not separations(
             *(calls, q, placements, joints, vertices, ranges, radii, directions),

@@ -16,7 +16,7 @@ from ..._numeric.loops import assign, filled
 from .dense_output import BASIS, rate_bounds
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
-from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
+from .lie_charts import advance, chart_rate, diverged, magnitudes, turned_too_far
 from .samples import record_sample
 from .tolerances import ITERATED
 
@@ -86,7 +86,7 @@ def evaluate_stage(work, i, t, h, change):
     rates, xi, v = work.stage_rates, work.xi, work.v
     n, width = len(v), rates.shape[1]
     advance_to(work, i, h, v)
-    if gone_astray(xi, v) or turned_too_far(work.joint_charts, xi):
+    if diverged(xi, v) or turned_too_far(work.joint_charts, xi):
         return False
     advance(work.joint_charts, work.q0, xi, work.q)
     chart_rate(work.joint_charts, xi, v, change[:n])

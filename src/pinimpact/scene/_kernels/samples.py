@@ -14,7 +14,7 @@ SAFETY = 1.5
 
 
 @inlined
-def along(work, k, velocity):
+def speed_along(work, k, velocity):
     """Return the speed of active contact k along its reference direction, for contact velocities (nc, 3)."""
     reference = work.slip_reference
     return reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
@@ -27,7 +27,7 @@ def record_sample(work, slot, fraction):
     mode, velocity, slip = work.active_mode, work.contact_velocity, work.sample_slip
     for k in range(len(mode)):
         if mode[k] == SLIP:
-            slip[slot, k] = along(work, k, velocity)
+            slip[slot, k] = speed_along(work, k, velocity)
 
 
 @inlined

@@ -44,7 +44,7 @@ def set_certain_speed(work):
 
 
 @inlined
-def behind(work):
+def reversal_tolerance(work):
     """Return the speed of reversed slip that is attributed to the error of a step [m/s]."""
     return min(STILL * work.stick_speed, work.certain_speed / CERTAIN)
 

@@ -15,7 +15,7 @@ from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP
 from .events.registry import find_first_event
 from .force_choice import choose_forces
-from .samples import along, record_sample
+from .samples import record_sample, speed_along
 from .stiff_drives import rate_of_drives
 from .tolerances import ITERATED, STILL
 from .workspace import SceneWorkspace
@@ -74,11 +74,11 @@ def _slip_ends(work, rates):
     jacobian, reference = work.contact_jacobian, work.slip_reference
     for k in range(len(work.active_mode)):
         if work.active_mode[k] == SLIP and work.active_friction[k] > 0.0:
-            rate = along(work, k, work.contact_acceleration)
+            rate = speed_along(work, k, work.contact_acceleration)
             for j in range(n):
                 turned = reference[k, 0] * jacobian[k, 0, j] + reference[k, 1] * jacobian[k, 1, j]
                 rate += turned * (rates[n + j] - work.acceleration[j])
-            speed = along(work, k, work.contact_velocity)
+            speed = speed_along(work, k, work.contact_velocity)
             if rate < 0.0 and speed > work.certain_speed:
                 ends = min(ends, -speed / rate)
     return ends
@@ -156,7 +156,7 @@ def finish(work, t, h, error, explicit):
         work.sample_margins[0] = work.end_margin
         work.slip_ends = math.inf
         for k in range(len(velocity)):
-            before, now = work.sample_slip[0, k], along(work, k, velocity)
+            before, now = work.sample_slip[0, k], speed_along(work, k, velocity)
             work.sample_slip[0, k] = now
             rubs = work.active_mode[k] == SLIP and work.active_friction[k] > 0.0
             if rubs and work.certain_speed < now < before:

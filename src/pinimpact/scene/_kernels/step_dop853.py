@@ -17,7 +17,7 @@ from . import bogacki_shampine, dopri5
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
-from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
+from .lie_charts import advance, chart_rate, diverged, magnitudes, turned_too_far
 from .samples import record_sample
 from .workspace import SceneWorkspace
 
@@ -39,7 +39,7 @@ LAST = np.array([STAGES, dopri5.STAGES, bogacki_shampine.STAGES])
 """Stage at the end of the step, by method."""
 
 
-def _all(high, *others):
+def _stacked(high, *others):
     """Return the coefficients of all methods in one array, padded with zeros."""
     found = np.zeros((1 + len(others), *high.shape))
     found[0] = high
@@ -48,10 +48,10 @@ def _all(high, *others):
     return found
 
 
-ALL_NODES = _all(NODES, dopri5.NODES, bogacki_shampine.NODES)
-STEPS = _all(STEP, dopri5.STEP, bogacki_shampine.STEP)
-ERRORS = _all(ERROR, *(np.array([0.0 * one.ERROR, one.ERROR]) for one in (dopri5, bogacki_shampine)))
-DENSES = _all(DENSE, dopri5.DENSE[None], np.zeros((1, 0)))
+ALL_NODES = _stacked(NODES, dopri5.NODES, bogacki_shampine.NODES)
+STEPS = _stacked(STEP, dopri5.STEP, bogacki_shampine.STEP)
+ERRORS = _stacked(ERROR, *(np.array([0.0 * one.ERROR, one.ERROR]) for one in (dopri5, bogacki_shampine)))
+DENSES = _stacked(DENSE, dopri5.DENSE[None], np.zeros((1, 0)))
 
 
 @declared(SceneWorkspace, float, float, float, float)
@@ -69,7 +69,7 @@ def attempt(work, t, h, rtol, atol):
     last = LAST[which]
     for i in range(1, last + 1):
         set_stage(work, i, h)
-        if gone_astray(work.xi, work.v):
+        if diverged(work.xi, work.v):
             return math.inf
         if i == last:
             if turned_too_far(work.joint_charts, work.xi):

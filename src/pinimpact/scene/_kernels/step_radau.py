@@ -24,7 +24,7 @@ from ..._numeric.products import apply_symmetric
 from .contact_forces import SLIP
 from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
-from .stiff_drives import driven_at, follow, relieve
+from .stiff_drives import add_response, driven_at, filter_error
 from .workspace import SceneWorkspace
 
 ITERATIONS = 12
@@ -38,7 +38,7 @@ SLOW = 0.5
 
 
 @inlined
-def turn(work, k, s1, s2, across, effect):
+def fill_turn_effect(work, k, s1, s2, across, effect):
     """Fill w, across (nv,), and u, effect (nv,), of active contact k that slips along (s1, s2).
 
     They are those of the state last evaluated.
@@ -120,15 +120,15 @@ def correct(work, t, h, known, changes):
             return False
         for c in range(count):
             k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
-            turn(work, k, s1, s2, across[i, c], effect[i, c])
+            fill_turn_effect(work, k, s1, s2, across[i, c], effect[i, c])
             answer[i, c] = 0.0
             assign(answer[i, c, i, n:], effect[i, c])
             if drives:
-                follow(h, driven, answer[i, c])
+                add_response(h, driven, answer[i, c])
             speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
             right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
     if drives:
-        follow(h, driven, changes)
+        add_response(h, driven, changes)
     if count == 0:
         return True
     for i in range(s):
@@ -182,10 +182,10 @@ def finish(work, h, known, error):
     count, n = across.shape[1], across.shape[2]
     matrix, right, turned = np.empty((count, count)), np.empty(count), np.empty(count)
     relieved = np.zeros((count, 2 * n))
-    relieve(h, driven, error)
+    filter_error(h, driven, error)
     for c in range(count):
         assign(relieved[c, n:], effect[0, c])
-        relieve(h, driven, relieved[c])
+        filter_error(h, driven, relieved[c])
     for c in range(count):
         right[c] = 0.0
         for m in range(n):

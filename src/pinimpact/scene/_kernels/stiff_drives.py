@@ -30,7 +30,7 @@ SQUARE = MATRIX @ MATRIX
 
 
 @inlined
-def following(work):
+def driven_velocities(work):
     """Return the velocities on which a linear law acts: drives within their effort limits, and damping."""
     side, stiffness = work.drive_side, work.drive_stiffness
     drive_damping, damping = work.drive_damping, work.damping
@@ -52,7 +52,7 @@ def law(work, j):
 
 @declared(SceneWorkspace, INTEGERS, FLOAT_ROWS)
 @external
-def respond(work, driven, response):
+def fill_response(work, driven, response):
     """Fill response (k, nv) with v̇ per unit force of each drive, at the state last evaluated with M⁻¹."""
     rows, effect, minverse = work.equation_rows, work.force_response, work.minverse
     n, size, count = len(minverse), len(rows), len(driven)
@@ -79,13 +79,13 @@ def rate_of_drives(work):
     """Return an estimate of the largest rate at which drives settle [1/s], at the state last evaluated."""
     if not work.stiff_joints:
         return 0.0
-    driven = following(work)
+    driven = driven_velocities(work)
     if len(driven) == 0:
         return 0.0
     if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
         return 0.0
     response = np.empty((len(driven), len(work.v)))
-    respond(work, driven, response)
+    fill_response(work, driven, response)
     fastest = 0.0
     for j in driven:
         total = 0.0
@@ -124,7 +124,7 @@ def no_drives(work):
 @inlined
 def driven_at(work, t, h, stiff):
     """Return the `Driven` at the start of a step, empty unless `stiff`, and whether this succeeded."""
-    n, s, index = work.nv, STAGES, following(work)
+    n, s, index = work.nv, STAGES, driven_velocities(work)
     if not stiff:
         index = index[:0]
     k = len(index)
@@ -139,7 +139,7 @@ def driven_at(work, t, h, stiff):
         return known, False
     if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
         return known, False
-    respond(work, index, response)
+    fill_response(work, index, response)
     for c in range(k):
         stiffness[c], damping[c] = law(work, index[c])
     for i in range(s):
@@ -153,7 +153,7 @@ def driven_at(work, t, h, stiff):
 
 
 @external
-def follow(h, driven, changes):
+def add_response(h, driven, changes):
     """Add the response of the drives to changes of the stage rates, changes (stages, 2 nv or more)."""
     index, response, stiffness, damping, factors, order = driven
     k, n, s = response.shape[0], response.shape[1], len(changes)
@@ -184,7 +184,7 @@ def follow(h, driven, changes):
 
 
 @external
-def relieve(h, driven, error):
+def filter_error(h, driven, error):
     """Divide an error (2 nv,) of ξ and v by 1 − γ h times the derivative of the rates by the drive laws."""
     index, response, stiffness, damping, _, _ = driven
     k, n, step = response.shape[0], response.shape[1], GAMMA * h

@@ -119,13 +119,13 @@ def changes_at_end(
         for i in range(stages):
             add(end[r], h * h * twice[last, i] * straight[r], rates[i * nv + r])
             add(end[nv + r], h * weights[last, i], rates[i * nv + r])
-        larger(by_q, end[r])
-        larger(sizes, end[nv + r])
+        raise_to(by_q, end[r])
+        raise_to(sizes, end[nv + r])
         for k in range(stages):
             filled(part, 0.0)
             for i in range(stages):
                 add(part, modes[k, i], rates[i * nv + r])
-            larger(low if k < half else high, part)
+            raise_to(low if k < half else high, part)
     add(sizes, 1.0 / h, by_q)
     by_states = by_forces = 0.0
     for i in range(len(inverse)):
@@ -178,7 +178,7 @@ def add(to, factor, values):
 
 
 @inlined
-def larger(to, values):
+def raise_to(to, values):
     """Replace entries of `to` (n,) by the magnitudes of values (n,) where these are larger."""
     for i in range(len(to)):
         to[i] = max(to[i], abs(values[i]))

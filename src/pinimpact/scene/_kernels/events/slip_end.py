@@ -11,8 +11,8 @@ from ...._compile.jit import external, inlined
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root
-from ..samples import along, clear_of_zero
-from ..slip import behind, set_directions_within
+from ..samples import clear_of_zero, speed_along
+from ..slip import reversal_tolerance, set_directions_within
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
@@ -23,7 +23,7 @@ CONSEQUENCE = MODE_CHANGE
 def value(work, k, t):
     """Return the speed of contact k along its reference direction at the state set in the workspace [m/s]."""
     evaluate(work, t, np.empty(len(work.v) + 4))
-    return along(work, k, work.contact_velocity), 0.0
+    return speed_along(work, k, work.contact_velocity), 0.0
 
 
 value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_root(value)
@@ -33,7 +33,7 @@ value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_
 def first_against(work, k):
     """Return the first sample time within a step of `step_radau` at which slip is reversed, or infinity."""
     slip, times = work.sample_slip, work.sample_times
-    least = behind(work)
+    least = reversal_tolerance(work)
     for i in range(1, work.samples - 1):
         if slip[i, k] < -least:
             return work.step_start + times[i] * work.step_length
@@ -56,18 +56,18 @@ def first(work, end):
         if mode[k] != SLIP or mu[k] == 0.0:
             continue
         set_directions_within(work, 1.0)
-        end_speed = along(work, k, work.end_velocity)
+        end_speed = speed_along(work, k, work.end_velocity)
         if work.step_turns:
             # incipient slip may turn by any angle in its first step: only reversal counts
             later, until = last, first_against(work, k)
-            if end_speed >= -behind(work) and until == math.inf:
+            if end_speed >= -reversal_tolerance(work) and until == math.inf:
                 continue
             start_speed = value_at(work, k, start)[0]
             if start_speed > 0.0 and until < last:
                 later, end_speed = until, value_at(work, k, until)[0]
                 if end_speed >= 0.0:
                     return -math.inf, k
-            elif end_speed >= -behind(work):
+            elif end_speed >= -reversal_tolerance(work):
                 continue
             if start_speed <= 0.0:
                 # slip of a previous step, or fast enough, has reversed; incipient slip needs a shorter step
@@ -78,7 +78,7 @@ def first(work, end):
         else:
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
                 continue
-            found = first_fall(work, k, end, behind(work))
+            found = first_fall(work, k, end, reversal_tolerance(work))
         if found < end:
             time, end, which = found, found, k
     return time, which
