@@ -1,1 +1,1 @@
-"""Motions: what a scene calls for, its dynamics, modes, events and steps, and what a run leaves."""
+"""Simulation of scenes: dynamics, contact modes, impacts, events, time steps, and trajectories."""

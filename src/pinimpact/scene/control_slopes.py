@@ -1,4 +1,4 @@
-"""How the forces of a control follow changes of the state. (docs/derivatives.md, 9)"""
+"""Derivatives of the forces of a control by the state. (docs/derivatives.md, 9)"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ControlJacobian = Callable[[float, Array, Array], ArrayLike]
 
 
 def jacobian_of(scene: Scene) -> ControlJacobian | None:
-    """Return the derivative of a control that is a function, or sampled; None where it is not known."""
+    """Return the derivative of a control that is a function or sampled; None if it is not known."""
     control = scene.control if "control" not in scene.without else None
     if isinstance(control, JointPD):
         return control.drives(scene.model).jacobian if scene.period is not None else None
@@ -28,15 +28,19 @@ def jacobian_of(scene: Scene) -> ControlJacobian | None:
 
 
 def forces_by_state(jacobian: ControlJacobian, t: float, q: Array, v: Array) -> Array:
-    """Return what a jacobian does, checked, (nv, 2 nv)."""
+    """Evaluate a `jacobian`, and check its shape (nv, 2 nv) and values."""
     return finite_array("jacobian", jacobian(t, q.copy(), v.copy()), (len(v), 2 * len(v)))
 
 
 def change_of_forces(scene: Scene, h: float, t: float, state: tuple[Array, Array], x: Array) -> Array:
-    """Return the change (nv, n) of the forces of a control that is a function and has a jacobian.
+    """Return the change (nv, n) of the forces of a control that is a function with a `jacobian`.
 
-    That is for changes x (2 nv + 1, n) of q, in the tangent space, of v, and of the time, at a state (q, v);
-    over a time h [s] the control changes little.
+    Args:
+        scene: The scene of the control.
+        h: Step size [s]; differences in time use a small fraction of it.
+        t: Time [s].
+        state: (nq,) configuration and (nv,) velocity.
+        x: (2 nv + 1, n) changes of q, in the tangent space, of v, and of the time.
     """
     jacobian, control = jacobian_of(scene), scene.control
     assert jacobian is not None
@@ -49,30 +53,30 @@ def change_of_forces(scene: Scene, h: float, t: float, state: tuple[Array, Array
 
 
 class HeldForces:
-    """The forces of a sampled control that has been asked along a motion, and how they change with it."""
+    """Forces of a sampled control along a motion, and their changes (nv, n)."""
 
     def __init__(self, control: SampledControl, jacobian: ControlJacobian) -> None:
         self._control, self._jacobian = control, jacobian
         self._changes: list[Array] = []
 
     def ask(self, t: float, q: Array, v: Array, x: Array) -> None:
-        """Note how the force changes for which the control is asked at this time, at changes x (2 nv, n)."""
+        """Store the change of the force if the control was evaluated at t [s], for changes x (2 nv, n)."""
         asked = self._control.asked_at
         if len(self._changes) < len(asked) and asked[len(self._changes)] == t:
             self._changes.append(forces_by_state(self._jacobian, t, q, v) @ x)
 
     @property
     def times(self) -> list[float]:
-        """The times at which the control is asked, or a force begins to act [s]."""
+        """The times at which the control is evaluated or a force begins to act [s]."""
         return [*self._control.asked_at, *self._control.acts_at]
 
     def begins(self, t: float) -> bool:
-        """Return whether a force begins to act at this time."""
+        """Return whether a force begins to act at a time [s]."""
         k = self._number(t)
         return k >= 0 and self._control.acts_at[k] == t
 
     def at(self, t: float) -> tuple[Array, Array] | None:
-        """Return the force (nv,) that acts from a time on, and its change (nv, n); None before the first."""
+        """Return the force (nv,) that acts from t [s] on, and its change (nv, n); None before the first."""
         k = self._number(t)
         return None if k < 0 else (self._control.forces[k], self._changes[k])
 

@@ -1,4 +1,4 @@
-"""The plan of effects: what a scene calls for, why, and what was switched off against it."""
+"""The plan of a scene: which effects are computed, why, and which of them were switched off."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SWITCHABLE = (
 """Effects that can be switched off by name."""
 
 CROWD = 30
-"""Contacts above which the cost of locating events is watched, by `scheme="auto"`."""
+"""Number of active contacts above which `scheme="auto"` monitors the cost of locating events."""
 
 DERIVED = ("normal-tangential coupling", "spatial slip", "simultaneous impacts")
 """Effects that each impact decides from its own W and v; they cannot be switched off."""
@@ -111,7 +111,7 @@ class Plan:
 
 
 def check_names(without: Sequence[str]) -> tuple[str, ...]:
-    """Return the effects to leave out, or raise for one that is unknown or cannot be."""
+    """Return the effects to switch off; raise an error for unknown ones and those of `DERIVED`."""
     without = as_tuple("without", without, str, "the name of an effect")
     for name in without:
         if isinstance(name, str) and name in DERIVED:
@@ -126,13 +126,13 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
 
 
 def _in_words(contacts: Iterable[Contact]) -> str:
-    """Return the names of contacts; all those of a collision shape have its name, and their number."""
+    """Return the names of contacts; those of one collision shape appear once, with their number."""
     names = Counter(c.label if c.shape is None else f"{c.shape} on {c.plane.label}" for c in contacts)
     return ", ".join(name if count == 1 else f"{name} ({count} points)" for name, count in names.items())
 
 
 def make_plan(scene: Scene, control: str, events: Sequence[str]) -> Plan:
-    """Derive the plan of a scene with these names of events, and a clause on its control, empty for none."""
+    """Return the plan of a scene; `control` describes its control (empty: none), `events` are names."""
     layout, contacts, without, resting_speed = scene.layout(), scene.contacts, scene.without, scene.rest
     unreachable, limits = layout.unreachable, len(layout.limits)
     watched = len(contacts) - len(unreachable)
@@ -179,11 +179,11 @@ def make_plan(scene: Scene, control: str, events: Sequence[str]) -> Plan:
 
 
 _Called = dict[str, tuple[bool, str, str]]
-"""Of each effect: whether a scene calls for it, why, and why not."""
+"""For each effect: whether a scene calls for it, the reason if it does, and the reason if not."""
 
 
 def _of_model(model: pin.Model, control: str) -> _Called:
-    """Return what the robot and its control call for."""
+    """Return the effects of the robot and its control."""
     damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
     g = float(np.linalg.norm(model.gravity.linear))
     return {
@@ -208,7 +208,7 @@ def _of_model(model: pin.Model, control: str) -> _Called:
 
 
 def _of_contacts(contacts: Sequence[Contact], unreachable: tuple[str, ...]) -> _Called:
-    """Return what contacts call for."""
+    """Return the effects of contacts."""
     watched, far = len(contacts) - len(unreachable), set(unreachable)
     away = _in_words(contact for contact in contacts if contact.label in far)
     rubbing = _in_words(c for c in contacts if max(c.friction, c.sustained_friction) > 0.0)
@@ -236,7 +236,7 @@ def _of_contacts(contacts: Sequence[Contact], unreachable: tuple[str, ...]) -> _
 
 
 def _effect(name: str, present: bool, reason: str, absence: str, without: Sequence[str]) -> Effect:
-    """Return an effect as a scene has it, or as it is switched off."""
+    """Return the entry of an effect in the plan."""
     if not present:
         return Effect(name, False, absence)
     if name in without:

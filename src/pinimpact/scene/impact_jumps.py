@@ -1,4 +1,7 @@
-"""The velocity after an impact of a scene, by what is before it. (docs/derivatives.md, 9 and 11)"""
+"""Derivatives of the velocity after an impact by the state before it. (docs/derivatives.md, 9 and 11)
+
+"Changes" (2nv, m) are as in `saltation`.
+"""
 
 from __future__ import annotations
 
@@ -43,11 +46,11 @@ class Parameter(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """What changes come to at an impact.
+    """Changes after an impact.
 
     Attributes:
-        after: (nv, m) the changes of the velocity after it.
-        depends: The parameters on which it depends.
+        after: (nv, m) changes of the velocity after it.
+        depends: The parameters on which the impact depends.
         boundary: Flags of `Boundary`.
     """
 
@@ -70,11 +73,11 @@ class ImpactJumps:
         self._roots = tree_roots(model)
 
     def sources(self, record: ImpactRecord) -> tuple[int, ...]:
-        """Return the numbers of the contacts and, past those, limits that take part in an impact."""
+        """Return the numbers of the contacts and limits that take part in an impact."""
         return (self._source[record.source],) if record.group is None else record.group[0].sources
 
     def islands(self, active: Bools) -> Integers:
-        """Return numbers (nv,) of the islands of velocities that trees and active contacts connect."""
+        """Return the island (nv,) of each velocity; active contacts connect kinematic trees to islands."""
         roots, work = self._roots, self.dynamics.work
         return np.asarray(islands(roots, roots[work.contact_joints[active]])[roots[work.velocity_joint]])
 
@@ -89,44 +92,55 @@ class ImpactJumps:
 
         Args:
             record: The impact.
-            modes: Of contacts and limits before it.
-            corners: What contacts of two shapes stand for, by number, where that is known.
-            error: Part of the largest velocity up to which what is closed has velocities by errors only.
+            modes: (n + nl,) modes of contacts and limits before it.
+            corners: Corners that contacts of two shapes represent, by number of the contact; None: unknown.
+            error: Velocities of active contacts up to this fraction of the largest one are taken as zero. It
+                is finite within time steps only.
         """
         group = None if record.group is None else record.group[0]
-        within_step = error < math.inf  # where the gap of what closes need not vanish
+        within_step = error < math.inf  # there the gap of the colliding contact need not vanish
         if group is not None and (within_step or len(group.sources) > 1 or group.policy != "propagate"):
             corners = self._corners(record, group) if corners is None else corners
             return GroupJump(self, record, modes, corners, error)
         (number,), resting, law = self.sources(record), record.resting, None
-        if group is not None:  # others that are closed are lifted
+        if group is not None:  # the other active contacts are lifted
             resting, law = float(group.problem.restitution[0]) == 0.0, "energetic"
         if number >= len(self.dynamics.contacts):
             return self._of_limit(number - len(self.dynamics.contacts), record, resting)
         return self._of_contact(number, record, resting, law)
 
     def _corners(self, record: ImpactRecord, group: ImpactGroup) -> dict[int, Corner]:
-        """Return what contacts of two shapes stand for in an impact, by number, where that is known."""
+        """Return the corners that contacts of two shapes represent in an impact, by number, where known.
+
+        The record does not store them. They are identified by their velocities.
+        """
         found: dict[int, Corner] = {}
-        left: dict[int, list[tuple[Corner, Array]]] = {}
+        candidates: dict[int, list[tuple[Corner, Array]]] = {}
         for place, i in enumerate(group.sources):
             basis = self.dynamics.contacts[i].pair if i < len(self.dynamics.contacts) else None
             if basis is None:
                 continue
-            if id(basis) not in left:
+            if id(basis) not in candidates:
                 pair, given = self.pairs[basis], (self.model, self.data, record.q)
-                left[id(basis)] = [
+                candidates[id(basis)] = [
                     (corner, contact_matrices(*given, contact).velocity(record.v_before))
                     for corner, contact in closest_corners(*given, pair)
                 ]
-            velocity = np.asarray(group.problem.velocity)[place]  # tells which of them it is
-            off = [float(np.abs(own - velocity).max()) for _, own in left[id(basis)]]
-            if off:
-                found[i] = left[id(basis)].pop(int(np.argmin(off)))[0]
+            velocity = np.asarray(group.problem.velocity)[place]
+            residuals = [float(np.abs(own - velocity).max()) for _, own in candidates[id(basis)]]
+            if residuals:
+                found[i] = candidates[id(basis)].pop(int(np.argmin(residuals)))[0]
         return found
 
     def _of_contact(self, number: int, record: ImpactRecord, resting: bool, law: str | None) -> SingleJump:
-        """Return the derivatives of the impact of a contact, without restitution or by another law."""
+        """Return the derivatives of the impact of a single contact.
+
+        Args:
+            number: Number of the contact.
+            record: The impact.
+            resting: Whether restitution was set to zero.
+            law: Law that replaces that of the contact, or None.
+        """
         contact, nv = self.dynamics.contacts[number], len(record.v_before)
         pair = None if contact.pair is None else self.pairs[contact.pair]
         contact, lasting, swapped = contact_now(self.model, self.data, record.q, contact, pair)
@@ -149,14 +163,14 @@ class ImpactJumps:
         return SingleJump(record, number, by_state, by, guard, flags, d.v)
 
     def _begins_to_slip(self, record: ImpactRecord, matrices: ContactMatrices) -> bool:
-        """Whether a contact slips in an impact and has not slipped before, but for the error of a step."""
+        """Whether a contact slips throughout an impact, but its slip before is within the error of a step."""
         rows = matrices.jacobian[:2] / self.dynamics.work.joint_metres
         error = self.dynamics.error(record.v_before)
         slow = np.hypot(*matrices.velocity(record.v_before)[:2]) <= error * np.abs(rows).sum(axis=1).max()
         return bool(slow) and all(segment.mode == "slip" for segment in record.solution.segments)
 
     def _of_limit(self, k: int, record: ImpactRecord, resting: bool) -> SingleJump:
-        """P = −(1 + e) u/w of a joint limit that approaches at u, with w = W₃₃."""
+        """Return the derivatives of the impact P = −(1 + e) u/w of a limit that approaches at u, w = W₃₃."""
         limit, nv = self.dynamics.limits[k], len(record.v_before)
         e = 0.0 if resting else self._limit_restitution
         guard = np.zeros(nv)
@@ -175,16 +189,16 @@ class ImpactJumps:
 
 
 class SingleJump(NamedTuple):
-    """The velocity after an impact that one contact or limit takes part in, by what is before it.
+    """Derivatives of the velocity after an impact at one contact or limit.
 
     Attributes:
         record: The impact.
-        number: Of the contact or, past those, limit.
-        by_state: (nv, 2nv) of the state, in the tangent space.
-        by: (nv,) of the velocity, by kind of parameter.
+        number: Number of the contact or limit.
+        by_state: (nv, 2nv) derivatives by the state, in the tangent space.
+        by: (nv,) derivatives by "friction" and "restitution".
         approach: (nv,) ∂(gap)/∂q [m per unit].
         boundary: Flags of `Boundary`.
-        v: (nv,) the velocity.
+        v: (nv,) the velocity after the impact.
     """
 
     record: ImpactRecord
@@ -197,15 +211,15 @@ class SingleJump(NamedTuple):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The contacts and, past those, limits that take part."""
+        """The contacts and limits that take part."""
         return (self.number,)
 
     def guard(self, least: float) -> Array | None:
-        """Return ∂(gap)/∂q (nv,) of what closes."""
+        """Return ∂(gap)/∂q (nv,) of the contact or limit that closes."""
         return self.approach
 
     def after(self, x: Array, parameters: Sequence[Parameter]) -> Passed | None:
-        """Return what changes (2nv, m) before the impact come to; see `GroupJump.after`."""
+        """Return changes x (2nv, m) after the impact; see `GroupJump.after`."""
         after, on = self.by_state @ x, [one for one in parameters if one.contact == self.number]
         change = np.abs(self.record.v_after - self.record.v_before).max()
         if not np.abs(self.v - self.record.v_after).max() <= MISSED * change:
@@ -217,10 +231,10 @@ class SingleJump(NamedTuple):
 
 
 class GroupJump:
-    """The velocity after an impact at several contacts and limits, by what is before; see `ImpactJumps.of`.
+    """Derivatives of the velocity after an impact at several contacts and limits; see `ImpactJumps.of`.
 
     Raises:
-        InputError: A contact of two collision shapes is among them that stands for no known corner.
+        InputError: A contact of two collision shapes takes part whose corner is not known.
     """
 
     def __init__(
@@ -270,18 +284,18 @@ class GroupJump:
         )
 
     def guard(self, least: float) -> Array | None:
-        """Return ∂(gap)/∂q (nv,) of what closes; None if several do, or nothing.
+        """Return ∂(gap)/∂q (nv,) of the contact or limit that closes; None if several do, or none.
 
         Args:
-            least: The speed of approach below which an open contact may close or not.
+            least: Contacts that were open are taken to close if their gap rate is at most this [m/s].
         """
         strikes = np.flatnonzero(~self._closed & (self._rates <= least))
         return self._matrices.jacobian[3 * strikes[0] + 2] if len(strikes) == 1 else None
 
     def after(self, x: Array, parameters: Sequence[Parameter]) -> Passed | None:
-        """Return what changes (2nv, m) before the impact come to, of which the last are of parameters.
+        """Return changes x (2nv, m) after the impact; the last columns are those of the parameters.
 
-        None if the impact is not the recorded one, so that it has another outcome nearby.
+        None if solving the impact again does not give the recorded outcome: it is not unique nearby.
         """
         nv, record, inputs = len(x) // 2, self.record, self._inputs
         solution = find_policy(self._group.policy).run(inputs, False, **self._group.options)
@@ -308,12 +322,12 @@ class GroupJump:
         return Passed(after, tuple(parameters[k - first] for k in columns), found.boundary)
 
     def _matters(self, parameter: Parameter, place: int) -> bool:
-        """Whether an impact depends on a coefficient of a contact; not on e where a bounce would rest."""
+        """Whether an impact depends on a coefficient; not on e if restitution was set to zero."""
         used = self._inputs.restitution[place]
         return parameter.kind == "friction" or used == self._contacts[place].restitution
 
     def _change(self, velocity: Array, of_q: Array) -> Change:
-        """Return the change of the impact's data for a change of velocities (3n,) and of q (nv,)."""
+        """Return the change of the impact's data for changes of the velocities (3n,) and of q (nv,)."""
         inputs, k = self._inputs, len(self._contacts)
         delassus = np.tensordot(of_q, self._slopes.delassus, 1)
         velocity = velocity.reshape(-1, 3).copy()
@@ -323,7 +337,7 @@ class GroupJump:
             if inputs.restitution[i] > 0.0:
                 bend = slope_of_restitution(contact, max(-float(inputs.velocity[i, 2]), 0.0))
                 restitution[i] = -bend * velocity[i, 2]
-        if k < len(velocity):  # κ w of a limit is the mean of the contacts', or constant without any
+        if k < len(velocity):  # κ w of a limit is the mean of that of the contacts, or constant without any
             w, dw = inputs.delassus.diagonal()[2::3], delassus.diagonal()[2::3]
             moved = float(np.mean(inputs.stiffness[:k] * dw[:k])) if k > 0 else 0.0
             stiffness[k:] = (moved - inputs.stiffness[k:] * dw[k:]) / w[k:]
@@ -331,7 +345,7 @@ class GroupJump:
 
 
 def _basis(velocity: Array, of_q: Array, speed: float) -> tuple[Array, Array]:
-    """Return directions (3n + nv, r) that velocities (3n, m) and q's changes (nv, m) combine, and weights."""
+    """Return a basis (3n + nv, r) of the changes of velocities (3n, m) and q (nv, m), and weights (r, m)."""
     size = speed or 1.0
     left, values, right = np.linalg.svd(np.vstack([velocity / size, of_q]), full_matrices=False)
     kept = values > ROUNDING * values.max(initial=0.0)

@@ -1,4 +1,4 @@
-"""The configuration space of a model as a table of joints, for charts that need no Pinocchio."""
+"""The configuration space of a model as a table of joints, for kernels that do not call Pinocchio."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ._kernels.lie_charts import CIRCLE, PLANAR, RIGID, ROTATION, VECTOR, advanc
 
 
 def joint_table(model: pin.Model) -> Integers:
-    """Return the (k, 4) table that `lie_charts` describes; plain neighbours share a row.
+    """Return the (k, 4) table described in `lie_charts`; consecutive vector coordinates share a row.
 
     Raises:
-        ModelError: A joint whose configuration space is not one of those known (a composite of curved
-            joints, a mimic joint).
+        ModelError: A joint whose configuration space is not supported (a composite of curved joints, a mimic
+            joint).
     """
     rows: list[list[int]] = []
     for joint, name in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
@@ -42,7 +42,7 @@ def joint_table(model: pin.Model) -> Integers:
 
 
 def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
-    """Return ∂q/∂δ (nq, nv) of the coordinates q ⊕ δ at δ = 0, whose columns are at right angles."""
+    """Return ∂(q ⊕ δ)/∂δ (nq, nv) at δ = 0; its columns are orthogonal."""
     rates = np.zeros((len(q), nv))
     for kind, i, j, n in table.tolist():
         if kind == VECTOR:
@@ -62,10 +62,10 @@ def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
 
 
 def midpoint(table: Integers, q: Array, v: Array, h: float) -> tuple[Array, Array]:
-    """Return where a state is after half a step h with v, and v in the axes that free bodies have there."""
-    middle, turned, way = np.empty(len(q)), np.empty(len(v)), 0.5 * h * v
-    advance(table, q, way, middle)
-    turn_axes(table, way, v, turned)
+    """Return q ⊕ ½hv (nq,), and v (nv,) in the axes that free bodies have there."""
+    middle, turned, displacement = np.empty(len(q)), np.empty(len(v)), 0.5 * h * v
+    advance(table, q, displacement, middle)
+    turn_axes(table, displacement, v, turned)
     return middle, turned
 
 
@@ -73,7 +73,7 @@ def turning(frames: list[list[int]], v: Array) -> tuple[Array, Array]:
     """Return ω × v (nv,) of free bodies, see `add_turning`, and its derivative by v (nv, nv).
 
     Args:
-        frames: Rows of the table: free bodies, in space or in the plane.
+        frames: Rows of the table of free bodies (`RIGID`, `PLANAR`).
         v: (nv,) velocity.
     """
     turned, by_v = np.zeros(len(v)), np.zeros((len(v), len(v)))

@@ -1,4 +1,4 @@
-"""v̇ of a mode of contact and how it changes with the state. (docs/derivatives.md, 9)"""
+"""Derivatives of v̇ in given contact modes by the state. (docs/derivatives.md, 9)"""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .forces import set_closed
 
 
 class Slip(NamedTuple):
-    """The tangential motion of a contact that slips.
+    """The tangential motion of a slipping contact.
 
     Attributes:
         contact: Number of the contact.
-        direction: (2,) σ.
+        direction: (2,) direction of slip σ.
         rate: (2,) v̇_t [m/s²].
         rows: (2, 2nv) ∂v_t/∂(q, q̇).
     """
@@ -37,17 +37,15 @@ class Slip(NamedTuple):
 
 
 class ModeSlopes(NamedTuple):
-    """v̇ at a state in a mode, with δv̇ = `by_q` δq + `by_v` δv + `response` δλ + `by_friction` δμ.
-
-    λ are the forces of what is closed, such that `rows` δ(q, v) = 0. (D23)
+    """v̇ at a state, and the constraints of its contact modes. (D23)
 
     Attributes:
         acceleration: (nv,) v̇.
-        response: (nv, m) v̇ per unit of λ.
-        rows: (m, 2nv) of the velocities that vanish.
+        response: (nv, m) v̇ per unit of the constraint forces λ.
+        rows: (m, 2nv) derivatives of the velocities that vanish: `rows` δ(q, v) = 0.
         inverse: (nv, nv) M⁻¹.
-        slips: The contacts that slip.
-        at_bound: Whether friction that holds is at its bound.
+        slips: The slipping contacts.
+        at_bound: Whether friction of a sticking contact or joint is at its bound.
     """
 
     acceleration: Array
@@ -59,10 +57,10 @@ class ModeSlopes(NamedTuple):
 
 
 class SlopesWithin(NamedTuple):
-    """The slopes of a mode at some times within a step, see `slopes_along`.
+    """Derivatives of v̇ at some times within a step, as returned by the kernel `slopes_along`.
 
     Attributes:
-        unique: Whether the motion determines λ.
+        unique: Whether the motion determines the constraint forces λ.
     """
 
     by_state: Array
@@ -75,13 +73,17 @@ class SlopesWithin(NamedTuple):
 
 
 class SlopesOfModes:
-    """Differentiates the motion of a scene in any mode; states and modes of the dynamics are set here.
+    """Differentiates the smooth motion of a scene in any contact modes.
 
-    `friction` has the numbers of the contacts by whose friction v̇ is differentiated; −1 for none.
+    Args:
+        dynamics: The dynamics, whose states and modes are overwritten.
+        model: Its model.
+        friction: Contacts by whose coefficients of friction v̇ is differentiated; −1 for a zero column.
+        tau: (nv,) constant generalized force.
 
     Attributes:
-        turned: Which velocities are those of joints that turn.
-        tau: (nv,) the constant force, which may be set.
+        turned: Indices of the velocities of joints that rotate.
+        tau: (nv,) the generalized force, which may be changed in place.
 
     Raises:
         InputError: A contact whose kinematics are not differentiated.
@@ -103,13 +105,13 @@ class SlopesOfModes:
         self._friction, self.tau = np.array(friction, dtype=np.int64), tau.copy()
         self._total, self._smooth = np.zeros(nv), np.zeros((3, nv, nv))
         given = model, model.createData(), dynamics.work.q, dynamics.work.v, self._total
-        self._derive = Call(_differentiate, (self._smooth, given))  # by address from the kernel
+        self._derive = Call(_differentiate, (self._smooth, given))  # called by address from the kernel
         self._address = call_addresses([self._derive])
 
     def within(self, step: DenseStep, times: Array, inside: bool = True) -> SlopesWithin:
-        """Return how v̇ changes with the state at times (s,) within a step.
+        """Return the derivatives of v̇ at times (s,) [s] within a step.
 
-        If not `inside`, at an end of the step, v̇ is not differentiated.
+        At an end of the step (`inside` False) only the constraints are differentiated, and v̇ is not.
         """
         known = self._set(step)
         found = slopes_along(
@@ -121,7 +123,11 @@ class SlopesOfModes:
         return SlopesWithin(*(*found, known[1]))
 
     def _set(self, step: DenseStep) -> tuple[Array, bool, Array]:
-        """Set the modes of a step; return directions of slip at its ends, and what is known of its forces."""
+        """Set the modes of a step.
+
+        Returns:
+            Directions of slip (2, k, 2) at its ends; whether the motion determines the forces; known forces.
+        """
         closed, work = step.closed, self.dynamics.work
         if closed is None:
             work.modes[:], work.sliding_friction[:], work.control_force[:] = 0, 0.0, self.tau
@@ -131,7 +137,7 @@ class SlopesOfModes:
         return ends, closed.unique, closed.known
 
     def speeds(self, step: DenseStep, times: Array) -> Array:
-        """Return the speeds (s, k) of what is closed at some times within a step, zero where it sticks."""
+        """Return the speeds of slip (s, k) of the active contacts at times (s,) in a step; 0 if sticking."""
         known = self._set(step)
         moving = step.coefficients, step.q, step.v, step.start, step.h
         found = speeds_along(self.dynamics.work, *moving, times, *known)
@@ -139,7 +145,7 @@ class SlopesOfModes:
         return np.asarray(found)
 
     def at(self, step: DenseStep, t: float) -> ModeSlopes:
-        """Return v̇ and the velocities that vanish at an end of a step."""
+        """Return v̇ and the constraints at an end of a step."""
         found = self.within(step, np.array([t]), inside=False)
         work, nv = self.dynamics.work, self.model.nv
         change = work.solution @ work.force_response
@@ -152,9 +158,9 @@ class SlopesOfModes:
         return ModeSlopes(acceleration, *at_once, tuple(slips), self._at_bound(found.unique))
 
     def _at_bound(self, unique: bool) -> bool:
-        """Whether friction of the mode last evaluated that holds a contact or a joint is at its bound.
+        """Whether friction of a sticking contact or joint is at its bound in the modes last evaluated.
 
-        All of it if the motion does not determine it: what is at its bound alone leaves its load to others.
+        If the forces are not unique, all of them must be at their bounds: others take over the load of one.
         """
         work, start = self.dynamics.work, 0
         margins, bounds = [], []
@@ -172,5 +178,5 @@ class SlopesOfModes:
 
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:
-    """Fill the derivatives of v̇ (3, nv, nv) for a model, its data, a state and a generalized force."""
+    """Overwrite `smooth` (3, nv, nv) with ∂v̇/∂q, ∂v̇/∂v and ∂v̇/∂τ of a model, data, state and force."""
     smooth[0], smooth[1], smooth[2] = pin.computeABADerivatives(*given)

@@ -1,4 +1,4 @@
-"""The numbers by which a motion is integrated."""
+"""Tolerances and bounds of an integration."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Options(NamedTuple):
     dt: float = DT
 
     def checked(self) -> Options:
-        """Return them as numbers of one type each, for kernels are compiled by type.
+        """Return the checked options as floats, since kernels are compiled by type.
 
         Raises:
-            InputError: A number out of its range, or none.
+            InputError: A value that is out of range or not a number.
         """
         numbers = {name: value for name, value in self._asdict().items() if value is not None}
         check_numbers(**numbers)
@@ -32,10 +32,10 @@ class Options(NamedTuple):
 
 
 def check_numbers(**numbers: float) -> None:
-    """Refuse what is not above zero, not finite where it is a time to cover, or no tolerance of a step.
+    """Check that options are positive; durations, step sizes and `atol` finite; `rtol` in its range.
 
     Raises:
-        InputError: A number out of its range, or none.
+        InputError: A value that is out of range or not a number.
     """
     for name, value in numbers.items():
         if name == "rtol":

@@ -25,13 +25,13 @@ from ..robot.contact import Contact
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImpactGroup:
-    """An impact at several contacts and limits at once, shared by the records of what has had an impulse.
+    """An impact at several contacts and limits, shared by the records of those with an impulse.
 
     Attributes:
-        problem: That of all.
-        policy: How it is resolved.
-        options: Of the policy.
-        sources: Numbers of the contacts and, past those, limits; none if the group was loaded from a file.
+        problem: The impact problem of all contacts.
+        policy: Name of the policy that resolves it.
+        options: Options of the policy.
+        sources: Numbers of the contacts and limits; empty if the group was loaded from a file.
     """
 
     problem: ImpactProblem
@@ -43,13 +43,13 @@ class ImpactGroup:
 
     @cached_property
     def solution(self) -> ManySolution:
-        """The solution of all, made on first access."""
+        """The solution at all contacts, computed on first access."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", BoundReachedWarning)  # the run has given it
+            warnings.simplefilter("ignore", BoundReachedWarning)  # the run has issued it
             return solve_impact(self.problem, record=True, simultaneous=self.policy, **self.options)
 
     def part(self, place: int) -> ImpactProblem:
-        """Return what one contact's own part of the problem is."""
+        """Return the part of the problem at one contact, by its index."""
         problem, rows = self.problem, slice(3 * place, 3 * place + 3)
         return ImpactProblem(
             np.asarray(problem.delassus)[rows, rows],
@@ -116,7 +116,7 @@ class ImpactRecord:
 
     @property
     def remarks(self) -> list[str]:
-        """What was special about it, in words."""
+        """Special properties of the impact, such as "resting" or "stick"."""
         words = [word for word in ("resting", "simultaneous") if getattr(self, word)]
         return words + [word for word in ("stick", "resumed slip", "jam") if word in self.solution.effects]
 
@@ -131,7 +131,7 @@ class ImpactRecord:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # what can be recomputed is left out; what computes it is replaced by its result
+        # cached results are omitted, and the function `contact_space` is replaced by its result
         state = {field.name: getattr(self, field.name) for field in fields(self)}
         return state | {"contact_space": partial(tuple, self._contact_space)}
 
@@ -181,8 +181,8 @@ class SteppedInterval:
         start, end: Times [s].
         dt: Its shortest step [s].
         reason: Why events were not located there.
-        error: Estimate of what its steps miss, in coordinates [m or rad]; NaN where steps of two lengths
-            led to impacts in different orders, so that they give none.
+        error: Estimated error of the coordinates [m or rad]; NaN if steps of two sizes led to impacts in
+            different orders, so that there is no estimate.
     """
 
     start: float
@@ -201,11 +201,11 @@ class SteppedInterval:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
-    """How the state (q, v) of a motion at a time changes; δq in the tangent space, as Pinocchio integrates.
+    """Derivatives of the state (q, v) of a motion at a time, with δq in Pinocchio's tangent space.
 
     Attributes:
-        state: (2nv, 2nv) by the initial state; None if it was not asked for.
-        parameters: (2nv,) by each coefficient asked for, by its name.
+        state: (2nv, 2nv) derivatives by the initial state; None if they were not requested.
+        parameters: (2nv,) derivatives by each requested coefficient, by its name.
         boundary: Flags of `Boundary`; what has no derivative is NaN.
     """
 
@@ -215,10 +215,10 @@ class Sensitivity:
 
 
 class SensitivitySource(Protocol):
-    """Where a trajectory has its sensitivities from."""
+    """Source of the sensitivities of a trajectory."""
 
     def at(self, number: int, t: float) -> Sensitivity:
-        """Return the sensitivity at a time in the step of a number."""
+        """Return the sensitivity at a time [s] in a step, given by number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,11 +239,11 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class NoteGroup:
-    """Notes that say the same, but for the numbers in them.
+    """Notes with the same text except for numbers.
 
     Attributes:
-        text: The first of them.
-        times: When [s], in order.
+        text: Text of the first note.
+        times: Times of the notes in ascending order [s].
     """
 
     text: str
@@ -257,7 +257,7 @@ class NoteGroup:
 
 
 def group_notes(notes: Sequence[Note]) -> tuple[NoteGroup, ...]:
-    """Return notes in groups, one for each contact and kind of remark, in the order of their first ones."""
+    """Group notes whose texts differ only in numbers with units, in the order of first occurrence."""
     groups: dict[str, list[Note]] = {}
     for note in notes:
         groups.setdefault(_NUMBER.sub("#", note.text), []).append(note)

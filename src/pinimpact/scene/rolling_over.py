@@ -1,4 +1,4 @@
-"""A ball that rolls from a face over an edge, or from an edge over its end. (docs/derivatives.md, 9)"""
+"""Balls that roll from a face over an edge, or from an edge over its end. (docs/derivatives.md, 9)"""
 
 from __future__ import annotations
 
@@ -26,10 +26,18 @@ def rolls_over(
     before: DenseStep,
     after: DenseStep,
 ) -> Array | None:
-    """Return ∂g/∂q (nv,), up to a factor, of how far a ball is over, or None if it does not roll over.
+    """Return ∂g/∂q (nv,) of the guard g of a ball that rolls over an edge or its end between steps, or None.
 
-    It is measured along n × e for an edge e of a face, along e for the end of an edge. The ball may fly off.
-    It rolls over where one step ends and the next begins; the pairs have the shapes by their contact.
+    Up to a factor, g is the distance of the ball beyond the edge e of a face along n × e, or beyond the end
+    of an edge along e. The ball may separate there.
+
+    Args:
+        contacts: All contacts of the scene.
+        pairs: The shapes of the contacts between shapes.
+        model: The model.
+        data: Its data.
+        before: The step that ends where the ball rolls over.
+        after: The next step.
     """
     one, other = before.closed, after.closed
     if one is None:
@@ -55,7 +63,7 @@ def rolls_over(
 
 
 def _guard(model: pin.Model, data: Any, q: Array, sides: list[tuple[Array, Array]]) -> Array | None:
-    """Return ∂g/∂q at q for constants and joints of contacts on a line, and on what it bounds or ends in."""
+    """Return ∂g/∂q (nv,) from the constants and joints of the contacts on an edge and on its face or end."""
     (line, joints), (beside, joints_beside) = sorted(sides, key=lambda side: side[0][KIND] != LINE)
     along, flat = line[layout.LINE_AXIS : layout.CONSTANTS], beside[KIND] == PLANE
     known = np.array_equal(joints, joints_beside) if flat else beside[KIND] == SPHERE

@@ -1,7 +1,7 @@
-"""How rows of a time step bend along its velocity, and how that changes with the state. (derivatives.md, 12)
+"""J̇ v of the contact rows of a time step, and its derivatives by the state. (derivatives.md, 12)
 
-Velocities at the end of a step are J v⁺ + ½h J̇ v, with J and J̇ v at its midpoint (16.2). Axes stand still for
-tangential components; along the normal it is the second rate of the gap.
+Velocities at the end of a step are J v⁺ + ½h J̇ v, with J and J̇ v at its midpoint (16.2). Tangential
+components of J̇ v are in fixed axes; its normal component is the second rate of the gap.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from ..robot.many_derivatives import ContactRow, RowSlopes, rows_of
 from ..robot.placed_robot import PlacedRobot
 
 PART = 1e-4
-"""Part of a step from its midpoint to where rates along its velocity are computed from: their error is half
-of it in second rates, which count for half a step, or rounding over it."""
+"""Increment of the difference quotients along the velocity, in steps h: the truncation error is half of it
+times the next rate, and the rounding error inversely proportional to it."""
 
 
 class RowBends(NamedTuple):
-    """Bends of the rows of contacts, in the axes of the `RowSlopes`.
+    """J̇ v of k contacts, in the axes of the `RowSlopes`.
 
     Attributes:
         bends: (k, 3) J̇ v [m/s²].
-        by_q, by_v: (k, 3, nv) how they change, in axes that follow the configuration.
+        by_q, by_v: (k, 3, nv) its derivatives, in axes that follow the configuration.
     """
 
     bends: Array
@@ -35,13 +35,13 @@ class RowBends(NamedTuple):
 
 
 class _Along(NamedTuple):
-    """Velocities of contacts at a configuration, against the surface in the world, and how they change.
+    """Velocities of k contacts relative to the surface, in world axes, at a configuration, and derivatives.
 
     Attributes:
-        velocity: (k, 3).
-        by_q, by_v: (k, 3, nv) changes by this configuration and by v.
-        follows: (k, 3, nv) by how corners move over the shapes with the configuration at the midpoint.
-        rate, rate_by_q, rate_by_v, rate_follows: The same of the rates of gaps.
+        velocity: (k, 3) velocities [m/s].
+        by_q, by_v: (k, 3, nv) derivatives by this configuration and by v.
+        follows: (k, 3, nv) derivatives by how corners move over the shapes with the midpoint configuration.
+        rate, rate_by_q, rate_by_v, rate_follows: The same for the gap rates: (k,) and (k, nv).
     """
 
     velocity: Array
@@ -55,9 +55,15 @@ class _Along(NamedTuple):
 
 
 def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: Array, v: Array) -> RowBends:
-    """Return the bends of the rows of contacts of a step of length h [s], with slopes at q (nq,); v is (nv,).
+    """Return J̇ v of the contact rows of a time step, by differences along the velocity.
 
-    The data are overwritten.
+    Args:
+        model: The model.
+        data: Its data; they are overwritten.
+        h: Step size [s].
+        slopes: Derivatives of the rows at q.
+        q: (nq,) configuration at the midpoint.
+        v: (nv,) velocity.
     """
     k, nv, s = len(slopes.rows), len(v), PART * h
     if not v.any() or not k:
@@ -80,13 +86,13 @@ def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: 
 
 
 def less_turning(found: RowBends, slopes: RowSlopes, still: Array, by_v: Array) -> RowBends:
-    """Return bends along velocities of free bodies in axes that stand still: without J (ω × v).
+    """Return J̇ v for velocities of free bodies that are constant in fixed axes: J (ω × v) is subtracted.
 
     Args:
-        found: Bends along constant v.
-        slopes: Slopes of the rows.
+        found: J̇ v for constant v.
+        slopes: Derivatives of the rows.
         still: (nv,) ω × v.
-        by_v: (nv, nv) its derivative.
+        by_v: (nv, nv) its derivative by v.
     """
     if not slopes.rows or not by_v.any():
         return found
@@ -97,7 +103,7 @@ def less_turning(found: RowBends, slopes: RowSlopes, still: Array, by_v: Array) 
 
 
 def _along(t: float, rows: list[ContactRow], motions: Array, slopes: RowSlopes, v: Array) -> _Along:
-    """Return velocities v of the contacts at the configuration of some rows, a time t after the midpoint."""
+    """Return the velocities of contacts at the configuration of `rows`, a time t [s] after the midpoint."""
     axes, jacobian = (np.array([getattr(row, name) for row in rows]) for name in ("axes", "jacobian"))
     along = np.array([row.slopes(motions, True) for row in rows])
     velocity = jacobian @ v - np.array([row.of_surface for row in rows])
@@ -105,7 +111,7 @@ def _along(t: float, rows: list[ContactRow], motions: Array, slopes: RowSlopes, 
     follows, normals, signs = np.zeros_like(by_q), axes[:, 2], slopes.signs[:, None]
     rate_follows = np.zeros_like(follows[:, 0])
     for i, (row, follow, fixed) in enumerate(zip(rows, slopes.rows, slopes.fixed, strict=True)):
-        if follow is not fixed:  # a corner moves over the shapes, which carry that on
+        if follow is not fixed:  # the corner moves over the shapes, and is carried along by them
             tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
             moves = (follow.place.shifts - fixed.place.shifts)[:, :3].T
             tilt = -pin.skew(fixed.axes[2]) @ (follow.turns - fixed.turns)

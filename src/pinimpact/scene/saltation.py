@@ -1,4 +1,8 @@
-"""How a small change of a state passes an event: saltation matrices. (docs/derivatives.md, 9)"""
+"""Saltation matrices: derivatives of the state after an event by that before it. (docs/derivatives.md, 9)
+
+"Changes" (2nv, n) are n columns of small changes (δq, δv), with δq in the tangent space. The last columns are
+derivatives by parameters.
+"""
 
 from __future__ import annotations
 
@@ -35,16 +39,16 @@ from .scene import Scene
 from .step_sets import TIED
 
 SLOWEST = 1e3
-"""A gap that closes slower than so many errors of a velocity closes at no certain time."""
+"""Least speed of closing for a differentiable time of an event, relative to the error of velocities."""
 
 _BOUNDS = {"friction": (0.0,), "restitution": (0.0, 1.0)}
 
 
 class Saltation:
-    """Takes small changes of the state through the events of a scene.
+    """Propagates changes of the state through the events of a scene.
 
-    Dynamics and model are without what the scene switches off; a motion is differentiated by the parameters,
-    under a constant generalized force tau (nv,).
+    Dynamics and model are without the effects that the scene switches off. The motion is differentiated by
+    the parameters, under a constant generalized force tau (nv,). Events set flags of `boundary`.
     """
 
     def __init__(
@@ -70,7 +74,7 @@ class Saltation:
     def start(
         self, x: Array, first: DenseStep, impacts: Sequence[ImpactRecord], events: Sequence[EventRecord] = ()
     ) -> Array:
-        """Return how changes x (2nv, n) before the first step of a motion are after what happens there."""
+        """Return changes x (2nv, n) of the initial state after the impacts and events at the start."""
         if self._called(events):
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         if impacts:
@@ -85,7 +89,7 @@ class Saltation:
         return self._without_load(x, after, first.closed, self._admitted(x, after))
 
     def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet, admitted: Array) -> Array:
-        """Return changes x as they are admitted, undefined where they move what no load would close again."""
+        """Return the `admitted` changes, as NaN where x moves contacts that no load would close again."""
         dynamics, nv = self._dynamics, len(x) // 2
         pushes = np.abs(mode.response * dynamics.work.solution)
         size = max(float(np.linalg.norm(self._model.gravity.linear)), dynamics.fastest(mode.acceleration))
@@ -100,14 +104,14 @@ class Saltation:
         return admitted
 
     def _begun(self, step: DenseStep) -> ModeSlopes:
-        """Return the slopes where a mode begins, flagged if its friction just holds, on one side only."""
+        """Return the slopes at the start of a step; flag friction at its bound, where they are one-sided."""
         slopes = self.slopes.at(step, step.start)
         if slopes.at_bound:
             self.boundary |= Boundary.STICK_THRESHOLD
         return slopes
 
     def _admitted(self, x: Array, mode: ModeSlopes) -> Array:
-        """Return changes at a start, projected on those that what is closed there admits."""
+        """Return changes at a start, projected onto those that the active contacts admit."""
         if len(mode.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
@@ -117,7 +121,7 @@ class Saltation:
         return _onto(mode, stop(place, mode.inverse @ place[:, :nv].T, 0, x))
 
     def _flag_rest(self, x: Array, first: DenseStep, closed: ClosedSet, after: ModeSlopes) -> None:
-        """Flag changes at a start that move what begins to slide there: derivatives are those of its side."""
+        """Flag changes at a start that move contacts which begin to slide: derivatives are one-sided."""
         work, nv, still = self._dynamics.work, len(x) // 2, self._dynamics.error(first.v)
         slow = self.slopes.speeds(first, np.array([first.start]))[0] <= still
         begins = work.active_index[slow & (work.active_friction > 0.0)]
@@ -128,7 +132,7 @@ class Saltation:
             self.boundary |= Boundary.START_AT_REST
 
     def _gaps(self) -> list[int]:
-        """Return which of the velocities that vanish are rates of gaps that remain closed."""
+        """Return the rows of the constraints that are rates of gaps which remain closed."""
         work, row = self._dynamics.work, 0
         found: list[int] = []
         for i, mode in zip(work.active_index.tolist(), work.active_mode.tolist(), strict=True):
@@ -136,12 +140,12 @@ class Saltation:
             found += range(row if self._bilateral[i] else end - 1, end)
             row = end
         lower, upper, load = work.scalar_lower, work.scalar_upper, np.abs(work.solution[row:])
-        friction = np.abs(np.where(np.isinf(lower), upper, lower))  # holds a joint that its limit does not
+        friction = np.abs(np.where(np.isinf(lower), upper, lower))  # may hold a joint instead of its limit
         limits = (np.isinf(lower) != np.isinf(upper)) & ((friction == 0.0) | (load > friction))
         return found + (row + np.flatnonzero(limits)).tolist()
 
     def before(self, record: ImpactRecord, closed: ClosedSet | None) -> DenseStep:
-        """Return a step that ends at an impact where a motion starts, nothing closed but what is held."""
+        """Return a step that ends at the impact where a motion starts, with only held contacts active."""
         work = self._dynamics.work
         step = DenseStep(
             *(record.time, 1.0, record.q, record.v_before, np.zeros(WORKS)),
@@ -159,7 +163,7 @@ class Saltation:
         return step
 
     def _called(self, events: Sequence[EventRecord]) -> list[tuple[Jacobian, EventRecord]]:
-        """Return the events whose callback may have set a velocity, with its derivative."""
+        """Return the events with a `jacobian` whose callback may have set a velocity, with their records."""
         known = ((self._events.get(record.name), record) for record in events)
         return [(event.jacobian, record) for event, record in known if event and event.jacobian]
 
@@ -171,9 +175,9 @@ class Saltation:
         impacts: Sequence[ImpactRecord],
         events: Sequence[EventRecord] = (),
     ) -> Array:
-        """Return how changes x (2nv, n) at the end of a step are at the start of the next one. (D25)
+        """Return changes x (2nv, n) at the end of a step as changes at the start of the next one. (D25)
 
-        Impacts, and events of the user, are those in between.
+        `impacts` and user `events` are those between the steps.
 
         Raises:
             InputError: A `jacobian` of the wrong shape; an impact of two collision shapes with others.
@@ -211,7 +215,7 @@ class Saltation:
             joints = np.flatnonzero((dry != 0.0) & ((later[count:] != 0) | (dry * sliding < 0.0)))
             lost = bool(((modes != 0) & ((later == 0) | (modes > later))).any())
             reversed_ = len(turns) > 0 or bool((dry * sliding < 0.0).any())
-            # impulses that may be shared in several ways do not tell the motion where something rubs
+            # impulses that are not unique do not determine the motion if contacts slip
             shared = after.closed is not None and not after.closed.unique and len(plus.slips) > 0
             if len(ends) + len(joints) > 0 and not lost and not reversed_ and not shared:
                 return _onto(plus, x)
@@ -229,7 +233,7 @@ class Saltation:
     def _through_callback(
         self, x: Array, before: DenseStep, after: DenseStep, jacobian: Jacobian, record: EventRecord
     ) -> Array:
-        """Return changes after an event whose callback has set the velocity."""
+        """Return changes x (2nv, n) after an event whose callback has set the velocity."""
         nv, given = len(record.v_before), (record.time, record.q.copy(), record.v_before.copy())
         by = finite_array("jacobian", jacobian(*given), (nv + 1, 2 * nv + 1))
         minus, plus = self.slopes.at(before, record.time), self.slopes.at(after, after.start)
@@ -250,9 +254,9 @@ class Saltation:
         return np.asarray(step.closed.modes)
 
     def _checked(self, plus: ModeSlopes, x: Array) -> Array:
-        """Return changes without what rounding leaves of the velocities that vanish; undefined if more.
+        """Return changes x (2nv, n), projected onto the constraints after an event.
 
-        Those of the state are undefined together, those by parameters each by itself.
+        They are NaN if a residual exceeds rounding: all columns for one by the state, else that column.
         """
         if len(plus.rows) == 0:
             return x
@@ -280,7 +284,10 @@ class Saltation:
         plus: ModeSlopes,
         rates: tuple[Array, Array],
     ) -> Array:
-        """Return changes after the impacts of one instant, with modes, v and v̇ before and after them."""
+        """Return changes x (2nv, n) after the impacts of one instant.
+
+        Modes, and rates (2nv,) of v and v̇, are given before and after them, the slopes `plus` after them.
+        """
         records = [*{id(one if one.group is None else one.group[0]): one for one in impacts}.values()]
         nv, work = len(x) // 2, self._dynamics.work
         count = work.contacts + work.limits
@@ -302,7 +309,7 @@ class Saltation:
             if guard is None:
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
             own = island == island[np.argmax(np.abs(guard))]
-            if (own & shifted).any():  # one after the other at one instant
+            if (own & shifted).any():  # successive impacts of one island at one instant
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
             shifted |= own
             closing = float(guard @ rates[0][:nv])
@@ -322,11 +329,12 @@ class Saltation:
         return np.asarray(result)
 
     def _bounced(self, x: Array, jumps: Sequence[SingleJump | GroupJump], later: Integers) -> Array:
-        """Return changes with those by e, at e = 0, of contacts that stay closed in modes (n + nl,). (D39)
+        """Return changes with derivatives by e, at e = 0, of contacts that stay active after an impact. (D39)
 
-        Each rebounds at e times its approach, lands with the same impulse again, and its force is missing
-        meanwhile; further bounces are of second order. One that the impact has stopped and that slides on
-        may land otherwise, and is not followed, nor are those of an impact at several contacts.
+        Such a contact rebounds at e times its approach and lands again with the same impulse; meanwhile its
+        force is missing. Further bounces are of second order. The derivative is NaN for a contact that sticks
+        in the impact and slides afterwards, and for impacts at several contacts. `later` (n + nl,) are the
+        modes after the impacts.
         """
         nv, first = len(x) // 2, x.shape[1] - len(self.parameters)
         struck = {number: jump for jump in jumps for number in jump.numbers}
@@ -351,10 +359,10 @@ class Saltation:
         corners: Mapping[int, Corner],
         later: Integers,
     ) -> Array:
-        """Return how changes x (2nv, n) before impacts within a time step are after them.
+        """Return changes x (2nv, n) after impacts within a time step.
 
-        There what is closed moves: its velocities vanish only where steps end. The modes are of contacts and
-        limits before and later, in the next step, the corners what contacts of two shapes stand for.
+        There active contacts move: their velocities vanish only at the ends of steps. The modes (n + nl,) are
+        those before the impacts and, `later`, in the next step; corners represent contacts of two shapes.
         """
         records = {id(one if one.group is None else one.group[0]): one for one in impacts}.values()
         if any(one.resting for one in impacts):
@@ -363,7 +371,7 @@ class Saltation:
         return self._bounced(self._after(x, jumps), jumps, later)
 
     def _after(self, x: Array, jumps: Sequence[SingleJump | GroupJump]) -> Array:
-        """Return changes after some impacts, one after another."""
+        """Return changes x (2nv, n) after successive impacts."""
         nv = len(x) // 2
         for jump in jumps:
             passed = jump.after(x, self.parameters)
@@ -374,9 +382,9 @@ class Saltation:
         return x
 
     def _without(self, x: Array, removed: Array, q: Array, plus: ModeSlopes) -> Array:
-        """Return changes after a velocity (nv,) that is too slow to matter has been taken away. (D31)
+        """Return changes x (2nv, n) after a small velocity (nv,) of active contacts is removed. (D31)
 
-        M times it is the least impulses that stop what is closed afterwards.
+        It is the response to the least impulses that stop the contacts active afterwards.
         """
         nv, response = len(removed), plus.inverse @ plus.rows[:, len(removed) :].T
         forces = np.linalg.lstsq(response, removed, rcond=ROUNDING)[0]
@@ -397,8 +405,8 @@ class Saltation:
         return np.asarray(stop(plus.rows, response, nv, x))
 
     def _flag(self, flags: Boundary, on: Sequence[Parameter]) -> None:
-        """Take over flags of an impact that depends on some parameters."""
-        self.boundary |= flags & ~Boundary.BOUND  # parameters have it
+        """Add the flags of an impact, and `BOUND` for parameters `on` which it depends at their bounds."""
+        self.boundary |= flags & ~Boundary.BOUND
         for parameter in on:
             contact = self._dynamics.contacts[parameter.contact]
             if getattr(contact, parameter.kind) in _BOUNDS[parameter.kind]:
@@ -408,10 +416,7 @@ class Saltation:
 def _through_rest(
     x: Array, minus: ModeSlopes, stops: Sequence[Slip], joints: Integers, rates: tuple[Array, Array]
 ) -> Array:
-    """Return changes after a contact, or a joint with dry friction, comes to rest or passes it. (D27)
-
-    What is across the slip has decayed but for what friction takes in the last moment.
-    """
+    """Return changes after a contact or dry joint stops or reverses; those across its slip vanish. (D27)"""
     nv = len(x) // 2
     guard = np.zeros(2 * nv)
     guard[nv + joints] = 1.0
@@ -429,7 +434,7 @@ def _through_rest(
 
 
 def _reversed(slip: Slip, plus: ModeSlopes, later: Integers) -> bool:
-    """Whether a contact slips on the other way."""
+    """Whether a contact slips in the opposite direction afterwards."""
     return any(
         one.contact == slip.contact and later[one.contact] == SLIP and one.direction @ slip.direction < 0.0
         for one in plus.slips
@@ -437,27 +442,27 @@ def _reversed(slip: Slip, plus: ModeSlopes, later: Integers) -> bool:
 
 
 def _onto(slopes: ModeSlopes, x: Array) -> Array:
-    """Return changes (2nv, n) after the impulses of what is closed that let its velocities vanish."""
+    """Return changes (2nv, n) after the impulses at the active contacts that make their velocities vanish."""
     return np.asarray(stop(slopes.rows, slopes.response, len(x) // 2, x))
 
 
 def saltation_matrix(
     scene: Scene, contact: Contact | str, q: ArrayLike, v: ArrayLike, t: float = 0.0
 ) -> Array:
-    """Return how a small change of the state before an impact is after it, in the motion of a scene.
+    """Return the derivative of the state after an impact by the state before it, in the motion of a scene.
 
-    The change includes that of the time of the impact. (docs/derivatives.md, D25)
+    It includes the change of the time of the impact. (docs/derivatives.md, D25)
 
     Args:
         scene: The scene; its other contacts and joint limits are open.
         contact: The contact that collides, or its name.
         q: (nq,) configuration, at which the gap of the contact is zero.
         v: (nv,) velocity before the impact.
-        t: Time [s], at which a control is asked.
+        t: Time [s], at which a control is evaluated.
 
     Returns:
-        Ξ (2nv, 2nv) of changes (δq, δv), with δq in the tangent space; columns that do not exist are NaN.
-        Of a change that held contacts do not admit, the part that they admit counts.
+        Ξ (2nv, 2nv) for changes (δq, δv), with δq in the tangent space; columns that do not exist are NaN.
+        Changes that held contacts do not admit are projected onto those that they admit.
 
     Raises:
         InputError: As in `simulate` and `impact_derivatives`; nothing collides, or something else; another

@@ -1,4 +1,4 @@
-"""A scene: a robot, its contacts, what acts on it; all that a simulation needs but the state."""
+"""Scenes: a robot with its contacts, control and events, without its state."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Scene:
             )
 
     def _tips(self, contacts: Any) -> Any:
-        """Return contacts, those of collision shapes replaced by their tips."""
+        """Replace contacts of collision shapes by their tips."""
         given = (contacts,) if isinstance(contacts, Contact) else contacts
         if not isinstance(given, Sequence) or not any(
             isinstance(contact, Contact) and contact.geometry is not None for contact in given
@@ -181,7 +181,7 @@ class Scene:
         return replace(self, contacts=[*self.contacts, *added])
 
     def _check_sampling(self) -> None:
-        """Refuse a period or delay that nothing is to be sampled with."""
+        """Check that a period or delay is given only with a control to sample."""
         assign = object.__setattr__
         assign(self, "delay", at_least_zero("delay", self.delay))
         if self.period is not None:
@@ -198,7 +198,7 @@ class Scene:
             )
 
     def _check_names(self, labels: list[str]) -> None:
-        """Refuse names that stand for two things in reports of a run."""
+        """Check that names of contacts are unique, also among joint limits and joints with dry friction."""
         limits = {limit.name for limit in self.layout().limits}
         rubbing = {
             name
@@ -220,7 +220,7 @@ class Scene:
                 )
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is made on demand, and collision shapes that no contact names: meshes are large."""
+        """Omit cached data, and collision shapes of no contact, since meshes are large."""
         state = {name: value for name, value in vars(self).items() if name != "_layout"}
         pairs = [contact.pair for contact in (*self.contacts, *self.held) if contact.pair is not None]
         named = {pair.geometry for pair in pairs} | {
@@ -263,7 +263,7 @@ class Scene:
         return f"Scene({', '.join([*parts, *given])})"
 
     def layout(self) -> SceneLayout:
-        """Return what a run needs of the scene, remade if the model has changed."""
+        """Return the layout of the scene, computed again if the model has changed."""
         known: SceneLayout | None = vars(self).get("_layout")
         if known is None or not known.holds_for(self.model):
             limited = "joint limits" not in self.without
@@ -276,7 +276,7 @@ class Scene:
         return make_plan(self, self._control_in_words(), [event.label for event in as_events(self.events)])
 
     def _control_in_words(self) -> str:
-        """Return a clause on the control, empty where there is none."""
+        """Return a phrase that describes the control, empty without one."""
         if self.control is None:
             return ""
         what = "a control callback is given"
@@ -306,7 +306,7 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
+        """The robot's size L [m]: its longest chain or link, else largest radius of gyration, else 1 m."""
         return self.layout().extent
 
     def sources(self) -> tuple[str, ...]:
@@ -315,11 +315,11 @@ class Scene:
 
 
 def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
-    """Return labels, with those that stand in for a name numbered where they are not the only ones.
+    """Return labels, with equal default labels numbered.
 
     Args:
-        labels: One of each contact.
-        default: Whether each stands in for a name.
+        labels: Label of each contact.
+        default: Whether the label is a default and not a given name.
     """
     taken, result, counts = set(labels), [], Counter(labels)
     for label, free in zip(labels, default, strict=True):
@@ -332,7 +332,7 @@ def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
 
 
 def _named(contacts: Sequence[Contact]) -> list[Contact]:
-    """Return contacts with unique labels; names that are given are kept."""
+    """Return contacts with unique labels; given names are not changed."""
     for contact, count in Counter(contacts).items():
         if count > 1:
             raise InputError(
@@ -361,7 +361,7 @@ def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...
 
 
 def _of_own_pair(contact: Contact, pairs: dict[Contact, Contact]) -> Contact:
-    """Return a contact of two shapes whose pair has its coefficients, which may have been replaced since."""
+    """Return a contact of two shapes whose pair has the same coefficients, which may have been replaced."""
     assert contact.pair is not None
     names = "friction", "restitution", "law", "sliding_friction", "stiffness"
     own = replace(contact.pair, **{name: getattr(contact, name) for name in names})
@@ -379,7 +379,7 @@ def _check_surface_motion(field: str, contact: Contact) -> None:
 
 
 def check_numbers(model: pin.Model) -> None:
-    """Raise `ModelError` for gravity, damping, dry friction or a joint limit that no robot has."""
+    """Raise `ModelError` for invalid gravity, damping, dry friction or joint limits of a model."""
     gravity = model.gravity.vector
     if not np.isfinite(gravity).all():
         raise _refused("gravity", gravity.tolist(), "finite numbers [m/s²]")

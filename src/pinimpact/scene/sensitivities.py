@@ -1,4 +1,7 @@
-"""Derivatives of a motion by its initial state and by coefficients of contacts. (docs/derivatives.md, 9)"""
+"""Derivatives of a motion by its initial state and by coefficients of contacts. (docs/derivatives.md, 9)
+
+"Changes" (2nv, n) are as in `saltation`.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ from .scene import Scene
 from .step_slopes import StepSlopes
 
 STEEP = 0.4
-"""Where the speed of slip falls below this part of what it is elsewhere in an interval, it is halved."""
+"""An interval is halved if the ratio of the speeds of slip at its ends is below this number."""
 
 
 class Radau(NamedTuple):
@@ -44,8 +47,8 @@ class Radau(NamedTuple):
         nodes: (s,) c, in [0, 1].
         weights, twice: (s, s) A and A².
         modes: (s, s) coefficients in Legendre polynomials of values at the nodes.
-        decay, power: The first coefficient whose error counts is the last one of these, times `decay` and a
-            power of the ratio of the last to the first: those of e^{zt} for z → 0. (D24)
+        decay, power: The error estimate is the last coefficient times `decay` and this power of the ratio of
+            the last coefficient to the first, as for e^{zt} with z → 0. (D24)
     """
 
     nodes: Array
@@ -57,7 +60,7 @@ class Radau(NamedTuple):
 
 
 def _radau(stages: int, decay: float, power: float) -> Radau:
-    """Return the method of so many stages, of order 2 s − 1 for what constraints tie as well."""
+    """Return the method with s stages, of order 2s − 1 with constraints too."""
     nodes = np.real((Legendre.basis(stages - 1) - Legendre.basis(stages)).roots()) / 2.0 + 0.5
     powers = np.arange(1, stages + 1)
     integrals = nodes[:, None] ** powers / powers
@@ -67,7 +70,8 @@ def _radau(stages: int, decay: float, power: float) -> Radau:
 
 
 RULES = _radau(3, 3.0 / 35.0, 1.0), _radau(4, 1.0 / 385.0, 2.0)
-"""Tried in this order: three stages do for the short steps of a control, four take fewer intervals else."""
+"""Rules in the order in which they are tried: three stages suffice for the short steps of a control, and four
+need fewer intervals otherwise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +93,10 @@ class Linearization:
 
 
 def check_supported(scene: Scene) -> None:
-    """Refuse scenes whose motions have no known derivatives.
+    """Check that the derivatives of a scene's motions are known.
 
     Raises:
-        InputError: A control or a callback of the user's own, of which no derivative is known.
+        InputError: The derivative of the control, or of a callback of a user event, is not known.
     """
     what: str = ""
     value: Any = None
@@ -115,7 +119,7 @@ def check_supported(scene: Scene) -> None:
 
 
 def parse(scene: Scene, names: Any) -> tuple[str, ...]:
-    """Return the names of sensitivities, checked: "state", "friction:…", "restitution:…" with contacts."""
+    """Return the checked names of sensitivities: "state", "friction:CONTACT", "restitution:CONTACT"."""
     names = (names,) if isinstance(names, str) else tuple(names)
     check_supported(scene)
     for name in names:
@@ -142,16 +146,16 @@ def parse(scene: Scene, names: Any) -> tuple[str, ...]:
 
 
 class MotionSlopes:
-    """Takes small changes along a motion of a scene.
+    """Propagates changes along a motion of a scene.
 
     Args:
-        scene, dynamics, model: As of `Saltation`; states and modes are set here.
+        scene, dynamics, model: As in `Saltation`; states and modes of the dynamics are overwritten.
         parameters: Names of coefficients, see `parse`.
-        tau: (nv,) a constant generalized force, by which the motion is differentiated too, or None.
+        tau: (nv,) constant generalized force by which the motion is differentiated too, or None.
         rtol: Relative tolerance of each interval.
 
     Attributes:
-        parameters: The names of those that have columns: a contact out of reach of its surface has none.
+        parameters: Names of the parameters with columns; contacts that cannot reach their surface have none.
     """
 
     def __init__(
@@ -180,21 +184,21 @@ class MotionSlopes:
 
     @cached_property
     def steps(self) -> StepSlopes:
-        """Takes changes through time steps, where there are any."""
+        """Propagates changes through time steps."""
         return StepSlopes(*self._of_steps)
 
     def initial(self) -> Array:
-        """Return the changes at the start, (2nv, 2nv + the force's + parameters)."""
+        """Return the changes (2nv, n) at the start: by the state, the force if given, and the parameters."""
         return np.eye(2 * self._nv, 2 * self._nv + self._given + self._count)
 
     def along(self, x: Array, step: DenseStep, until: float) -> Array:
-        """Return how changes at the start of a step are at a time within it."""
+        """Return changes x (2nv, n) at the start of a step as changes at a time [s] within it."""
         for start, end in self._intervals(step, until):
             x = self._across(x, step, start, end)
         return x
 
     def _across(self, x: Array, step: DenseStep, start: float, end: float) -> Array:
-        """Return changes at the end of an interval, which is halved down to the tolerance."""
+        """Return changes x (2nv, n) at the end of an interval, which is halved until the tolerance is met."""
         if np.isnan(x).all():
             return x
         h = end - start
@@ -205,14 +209,14 @@ class MotionSlopes:
                 found, error = self._collocate(rule, nodes, h, x)
                 if error <= self._rtol or shortest:
                     return found
-        if shortest:  # slip has no speed in it
+        if shortest:  # the speed of slip vanishes in it
             self.saltation.boundary |= Boundary.EVENTS_COINCIDE
             return np.full_like(x, np.nan)
         middle = start + 0.5 * h
         return self._across(self._across(x, step, start, middle), step, middle, end)
 
     def _slopes_within(self, step: DenseStep, times: Array) -> SlopesWithin:
-        """Return the slopes of the motion at some times, those of a control included."""
+        """Return the slopes of the motion at some times [s], including those of a control."""
         nodes = self.saltation.slopes.within(step, times)
         if self._control is not None:
             for t, inverse, by_state in zip(times.tolist(), nodes.inverse, nodes.by_state, strict=True):
@@ -220,7 +224,7 @@ class MotionSlopes:
         return nodes
 
     def _intervals(self, step: DenseStep, until: float) -> list[tuple[float, float]]:
-        """Return parts of a step in each of which no slip slows down, or speeds up, by much."""
+        """Return intervals of a step up to a time [s] in which the speed of slip changes little. (`STEEP`)"""
         if until <= step.start:
             return []
         closed = step.closed
@@ -245,7 +249,7 @@ class MotionSlopes:
         return found
 
     def _collocate(self, rule: Radau, nodes: SlopesWithin, h: float, x: Array) -> tuple[Array, float]:
-        """Return changes after a time h, by the slopes at the nodes, and their relative error. (D23, D24)"""
+        """Return changes x (2nv, n) after a time h [s], and their relative error. (D23, D24)"""
         nv, turned, slopes = self._nv, self.saltation.slopes.turned, nodes[:5]
         matrix, right, vanishing, start, moved = stage_equations(
             *(h, *rule[:3], turned, self.force, *slopes, x)
@@ -264,15 +268,20 @@ class MotionSlopes:
 
 
 def _shortest(step: DenseStep) -> float:
-    """Return the length of an interval that is not halved [s]: times between its ends are to exist."""
+    """Return the size of an interval that is not halved further [s]; its midpoint must be representable."""
     return max(LEAST_INTERVAL * (step.end - step.start), 2.0 * math.ulp(step.end))
 
 
 def _forces_that_stop(rows: Array, n: int, nodes: SlopesWithin) -> Array:
-    """Return the forces of what is closed that stop its velocities, those of equally stiff contacts. (D23)
+    """Return the forces that make the velocities of active contacts vanish. (D23)
 
-    The rows (s, m or 2 m, n + s m) are these velocities, and changes of what forces share, in n columns, and
-    the same by the forces. Columns with NaN stay so.
+    If they are not unique, those of equally stiff contacts are returned. Columns with NaN stay NaN.
+
+    Args:
+        rows: (s, m or 2 m, n + s m) constraint velocities, and changes of the shares of forces that are not
+            unique; n columns of changes, then columns by the forces.
+        n: Number of changes.
+        nodes: Slopes at the s stages.
     """
     stages, nv, m = nodes.response.shape
     size, columns = stages * m, rows.shape[2]
@@ -297,9 +306,13 @@ def _forces_that_stop(rows: Array, n: int, nodes: SlopesWithin) -> Array:
 
 
 class Sensitivities:
-    """Derivatives by `names` along a motion that has been simulated, made when they are asked for.
+    """Derivatives along a simulated motion, computed on demand.
 
-    The motion is given by its steps, impacts, user events, and the `held` forces of a sampled control.
+    Args:
+        slopes: Propagates the changes.
+        names: What to differentiate by, see `parse`.
+        steps, impacts, events: The motion.
+        held: Forces of a sampled control.
     """
 
     def __init__(
@@ -316,12 +329,12 @@ class Sensitivities:
         self._starts: list[tuple[Array, Boundary]] = []
 
     def changes(self, number: int, t: float) -> tuple[Array, Boundary]:
-        """Return the changes at a time in the step of a number, and flags."""
+        """Return the changes (2nv, n) at a time [s] in a step, given by number, and flags."""
         x, boundary = self._at_start(number)
         return self._until(x, boundary, number, t)
 
     def _until(self, x: Array, boundary: Boundary, number: int, t: float) -> tuple[Array, Boundary]:
-        """Return how changes at the start of a step are at a time within it, and flags."""
+        """Return changes x at the start of a step, given by number, as changes at a time [s], and flags."""
         slopes, step = self._slopes, self._steps[number]
         slopes.saltation.boundary = boundary
         self._hold(number)
@@ -333,7 +346,7 @@ class Sensitivities:
         return slopes.steps.at(x, step, t, slopes.force), slopes.steps.boundary
 
     def _hold(self, number: int) -> None:
-        """Let the force of a sampled control act that does in the step of a number."""
+        """Set the force of a sampled control, and its changes, to those in a step, given by number."""
         if self._held is not None:
             now = self._held.at(self._steps[number].start)
             slopes = self._slopes
@@ -351,7 +364,7 @@ class Sensitivities:
                 continue
             if k == 0:
                 x, saltation.boundary = self._slopes.initial(), Boundary.NONE
-                if self._held is not None:  # asked before the events at the start
+                if self._held is not None:  # evaluated before the events at the start
                     v = struck[0].v_before if struck else steps[0].v
                     self._held.ask(now, steps[0].q, v, x)
                     self._hold(0)
@@ -365,7 +378,7 @@ class Sensitivities:
                     stuck = k if struck or called else self._next_stick(k)
                     x = saltation.cross(x, before, steps[stuck], struck, called)
                     self._starts += [(x, saltation.boundary)] * (stuck - k)
-                elif struck or called:  # whatever comes first decides
+                elif struck or called:  # the order of the force and the event is undetermined
                     saltation.boundary |= Boundary.EVENTS_COINCIDE
                     x = np.full_like(x, np.nan)
                 if self._held is not None:
@@ -374,19 +387,19 @@ class Sensitivities:
         return self._starts[number]
 
     def _struck(self, k: int) -> list[ImpactRecord]:
-        """Return the impacts at the start of step k, not those at the end of it if it has no length."""
+        """Return the impacts at the start of step k, without those at its end if it has no length."""
         reached = self._steps[k - 1].taken if k > 0 else None
         whole = reached is not None and not reached.arriving and self._steps[k].taken is not None
         return [] if whole else self._at(k, self._impacts)
 
     def _at(self, k: int, records: Sequence[Any]) -> list[Any]:
-        """Return what has happened at the start of step k; the ends of time steps are rounded."""
+        """Return the records of events or impacts at the start of step k; ends of time steps are rounded."""
         now, before = self._steps[k].start, self._steps[max(k - 1, 0)]
         since = before.start if k > 0 and before.taken is not None else math.nan
         return [one for one in records if since < one.time <= now or one.time == now]
 
     def _refuse(self, called: Sequence[EventRecord]) -> None:
-        """Refuse user events in time steps, which are cut by them."""
+        """Raise an error for user events in time steps, since they cut these."""
         if called:
             raise InputError(
                 f"sensitivities: the event {called[0].name!r} ends a time step at t = "
@@ -396,12 +409,12 @@ class Sensitivities:
     def _through_time_step(
         self, k: int, struck: Sequence[ImpactRecord], called: Sequence[EventRecord]
     ) -> tuple[Array, Boundary]:
-        """Return changes at the start of step k, and flags, where it or the one before is a time step."""
+        """Return changes at the start of step k, and flags, if it or the step before is a time step."""
         slopes, (step, before) = self._slopes, (self._steps[k], self._steps[max(k - 1, 0)])
         taken, reached = step.taken, before.taken if k > 0 else None
         x, boundary = self._starts[-1] if k > 0 else (slopes.initial(), Boundary.NONE)
         self._refuse(called)
-        if self._held is not None and k == 0:  # asked before the events at the start
+        if self._held is not None and k == 0:  # evaluated before the events at the start
             self._held.ask(step.start, step.q, struck[0].v_before if struck else step.v, x)
         self._hold(max(k - 1, 0))
         saltation, steps = slopes.saltation, slopes.steps
@@ -412,7 +425,7 @@ class Sensitivities:
             x = slopes.along(x, before, before.end)
         boundary = saltation.boundary | steps.boundary
         if struck:
-            if reached is None:  # several touch, or may, and begin with an impact
+            if reached is None:  # several contacts may touch where time steps begin with an impact
                 x, boundary = np.full_like(x, np.nan), boundary | Boundary.EVENTS_COINCIDE
             else:
                 saltation.boundary = boundary
@@ -433,9 +446,9 @@ class Sensitivities:
         return x, boundary
 
     def _next_stick(self, k: int) -> int:
-        """Return the step in which slip sticks that has ended before step k but for errors, else k.
+        """Return the step from which on contacts stick whose slip ends, within errors, before step k; else k.
 
-        Errors of steps leave a speed where slip ends, with which the contact keeps sliding for no time.
+        Where slip ends, errors of steps leave a speed with which the contact keeps sliding for a moment.
         """
         steps, saltation = self._steps, self._slopes.saltation
         closed, begun = steps[k - 1].closed, steps[k].start

@@ -1,4 +1,7 @@
-"""What holds in a time step, and the impulses that keep its changes to that. (derivatives.md, 12)"""
+"""Active sets of a time step, and derivatives of the iterations that solve its contact problem.
+
+The method is in derivatives.md, section 12.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +16,27 @@ from ._kernels.step_rows import StepRows
 from .step_taken import StepTaken
 
 TIED = 1e3 * SETTLED
-"""Part of a bound of friction, of the largest velocity or of a change that is none: a thousand times what the
-contact problem leaves."""
-
+"""Tolerance of ties, relative to a bound of friction, to the largest velocity or to a change: a thousand
+times the residual of the contact problem."""
 
 SETTLING = 3
-"""Iterations with a thousandth of r that stand for impulses found without any: changes are off by 3·10⁻⁶ of
-W over what they move after the first, and by the third power of it after three."""
+"""Number of iterations, with a thousandth of r, that represent impulses found by another method. The relative
+error of changes is 3·10⁻⁶ W/w after the first one, with w the part of W that they move, and its third power
+after three."""
 
 
 class Iteration(NamedTuple):
-    """How an iteration of (16.3) changes impulses f: δf⁺ = `kept` δf − `stiff` δu + `bent` δr/r + …. (D40)
+    """Derivatives of an iteration of (16.3): δf⁺ = `kept` δf − `stiff` δu + `bent` δr/r + …. (D40)
 
     Attributes:
-        impulse: (rows,) f⁺.
-        shift: (nv,) what velocities are off those at the end of the step.
-        kept, stiff: (rows, rows) ∂P, or 1 for what an island with fewer iterations has found, and ∂P/r.
+        impulse: (rows,) f⁺ [N s].
+        shift: (nv,) difference of the velocities from those at the end of the step.
+        kept: (rows, rows) ∂P; the identity for islands whose iterations have ended.
+        stiff: (rows, rows) ∂P/r.
         bent: (rows,) ∂P u/r.
-        by_friction: (rows,) ∂P/∂μ, each of its own contact.
-        by_length: (rows,) rates of what is at the bound of dry friction [N or N m].
-        tied: Whether ∂P is at a kink in any row.
+        by_friction: (rows,) ∂P/∂μ, by the coefficient of the row's own contact.
+        by_length: (rows,) derivatives by h of impulses at the bound of dry friction [N or N m].
+        tied: Whether P has a kink in any row.
     """
 
     impulse: Array
@@ -48,15 +52,19 @@ class Iteration(NamedTuple):
 class StepLaw:
     """The law of the contacts, limits and dry joints of a step, as its iterations solve it.
 
-    Friction and compliances (n,) are those of all contacts, dry friction (nv,) that of all joints.
+    Args:
+        taken: Data of the step.
+        friction: (n,) coefficients of friction of all contacts.
+        dry_friction: (nv,) dry friction of all joints.
+        compliances: (n,) compliances of all contacts.
 
     Attributes:
-        jacobian: (rows, nv).
-        closes: (rows,) whether rows along normals close the gap at the midpoint.
-        targets: (rows,) the speeds at which they do [m/s].
-        pinned: (m,) rows of those that press and touch there already.
-        sticks, slips: (nc,) contacts that press.
-        limits: (nl,) limits that do.
+        jacobian: (rows, nv) Jacobian of the rows.
+        closes: (rows,) whether a normal row closes the gap at the midpoint.
+        targets: (rows,) speed at which it does [m/s].
+        pinned: (m,) normal rows with an impulse whose contacts touch at the midpoint.
+        sticks, slips: (nc,) whether each contact has an impulse and sticks, or slips.
+        limits: (nl,) whether each limit has an impulse.
     """
 
     def __init__(self, taken: StepTaken, friction: Array, dry_friction: Array, compliances: Array) -> None:
@@ -74,7 +82,7 @@ class StepLaw:
         self.targets = np.where(self.closes, gaps / taken.h, 0.0)
         impulse = found.impulse
         self._rounding = rounding = ROUNDING * np.abs(impulse).max(initial=0.0)
-        without = self.jacobian @ (found.predicted - taken.h * taken.pushed)  # impulses; nothing else at rest
+        without = self.jacobian @ (found.predicted - taken.h * taken.pushed)  # impulses: a scale if all rests
         self._speed = max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end, without))
         presses = impulse > rounding
         touches = presses & self.closes & (gaps <= taken.touching)
@@ -87,7 +95,7 @@ class StepLaw:
         self.limits = presses[3 * every : self._first]
 
     def pushes(self) -> Array:
-        """Return the generalized forces (m, nv) of impulses along the pinned rows, with their friction."""
+        """Return the generalized forces (m, nv) per unit of impulses along the pinned rows, with friction."""
         out, impulse = self.jacobian[self.pinned].copy(), self._taken.found.impulse
         for one, row in zip(out, self.pinned.tolist(), strict=True):
             if row < 3 * len(self.slips) and self.slips[row // 3]:
@@ -100,7 +108,7 @@ class StepLaw:
         return np.asarray(every[np.minimum(self.pinned // 3, len(every) - 1)])
 
     def largest(self, response: Array) -> Integers:
-        """Return the contact row with the largest entry on the diagonal of W in each row's island, (rows,).
+        """Return for each row (rows,) the contact row of its island with the largest diagonal entry of W.
 
         The response (nv, rows) is M⁻¹Jᵀ.
         """
@@ -122,7 +130,7 @@ class StepLaw:
     def _course(self, response: Array, largest: Integers) -> tuple[Array, Array, Array]:
         """Return r and the impulses before and after each iteration, (…, rows).
 
-        Impulses that were found otherwise are those of small compliances, at which iterations stay.
+        Impulses found by another method are represented by `SETTLING` iterations that do not change them.
         """
         found, contacts = self._taken.found, 3 * len(self._friction)
         (given, after), none = found.course, ~found.course[0].any(axis=0)
@@ -138,7 +146,7 @@ class StepLaw:
         return given, before[: len(given)], after
 
     def iterations(self, response: Array, largest: Integers, otherwise: bool) -> Iterator[Iteration]:
-        """Yield the iterations, with ties decided as they have, or otherwise; see `largest`."""
+        """Yield the iterations; `otherwise` decides ties the opposite way. For `response` see `largest`."""
         found, now = self._taken.found, np.zeros(len(self.jacobian))
         dry = np.arange(len(now)) >= self._first
         for r, before, after in zip(*self._course(response, largest), strict=True):
@@ -156,9 +164,16 @@ class StepLaw:
             yield Iteration(now, shift, *changes, bool(tied[runs].any()))
 
     def _slopes(self, z: Array, impulse: Array, near: Array, otherwise: bool) -> tuple[Array, Array, Bools]:
-        """Return ∂P (rows, rows) at z where P is `impulse`, its derivative (rows,) by friction, ties. (16.4)
+        """Return the derivatives of P of (16.4).
 
-        Ties (rows,) are where z is as `near` to a kink.
+        Args:
+            z: (rows,) argument of P.
+            impulse: (rows,) P(z).
+            near: (rows,) distance from a kink up to which there is a tie.
+            otherwise: Whether to decide ties the opposite way.
+
+        Returns:
+            (rows, rows) ∂P; (rows,) its derivative by friction; (rows,) ties.
         """
         nc, every = len(self._friction), len(self._taken.rows.surface)
         out, by_friction, tied = np.zeros((len(z), len(z))), np.zeros(len(z)), np.abs(z) <= near
@@ -179,7 +194,7 @@ class StepLaw:
             along = z[t] / max(size, TINY)
             out[t, t] = pushed / max(size, pushed, TINY) * (np.eye(2) - np.outer(along, along))
             out[t, n], by_friction[t] = mu * along, impulse[n] * along
-        scalar, acts = np.arange(3 * nc, len(z)), np.ones(len(z), dtype=bool)  # what is held
+        scalar, acts = np.arange(3 * nc, len(z)), np.ones(len(z), dtype=bool)  # held contacts
         acts[3 * every :] = (impulse > 0.0)[3 * every :]
         acts[self._first :] = np.abs(impulse[self._first :]) < (1.0 - ROUNDING) * self._bounds
         out[scalar, scalar] = (acts ^ (tied & otherwise))[scalar]
@@ -187,7 +202,7 @@ class StepLaw:
 
 
 def dense(rows: StepRows, nv: int) -> Array:
-    """Return the Jacobian (rows, nv) of a step."""
+    """Return the Jacobian (rows, nv) of the rows of a step."""
     out = np.zeros((len(rows.counts), nv))
     for row, (values, columns, count) in enumerate(
         zip(rows.values, rows.columns, rows.counts.tolist(), strict=True)
@@ -197,10 +212,14 @@ def dense(rows: StepRows, nv: int) -> Array:
 
 
 def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
-    """Return impulses (m, n) that cause velocities (m, n), in the limit of small compliances C (m,).
+    """Return impulses λ (m, n) that cause velocities (m, n), in the limit of small compliances C.
 
-    The matrix (m, m) of velocities by impulses is of any rank; columns with NaN stay so. What no velocity
-    shows of the impulses λ is zero: ℓᵀ C λ = 0.
+    In the null space of the matrix, ℓᵀ C λ = 0. Columns with NaN stay NaN.
+
+    Args:
+        matrix: (m, m) velocities per impulse, of any rank.
+        velocities: (m, n) velocities.
+        compliances: (m,) C.
     """
     m = len(matrix)
     found = np.full_like(velocities, np.nan)
@@ -213,7 +232,7 @@ def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -
     if null.shape[1] == 0:
         found[:, known] = np.linalg.solve(matrix, velocities[:, known])
         return found
-    # (matrix + r C) λ = velocities for r → 0: what cannot be caused grows along C ρ, matrix ρ = 0
+    # (matrix + r C) λ = velocities for r → 0; velocities that no λ causes are removed along C ρ, matrix ρ = 0
     given, unit = velocities[:, known], sizes[0] / compliances.max()
     along = compliances[:, None] * right[small].T
     caused = given - along @ np.linalg.lstsq(null.T @ along, null.T @ given, rcond=RANK)[0]

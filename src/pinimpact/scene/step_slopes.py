@@ -1,4 +1,4 @@
-"""How changes of a state pass a time step: its equations, differentiated. (derivatives.md, 12)"""
+"""Derivatives of a time step: propagation of changes through its equations. (derivatives.md, 12)"""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from .step_taken import StepTaken
 
 
 class _Rows(NamedTuple):
-    """The rows of a step and how they change.
+    """The rows of a step, and their changes.
 
     Attributes:
-        jacobian: (rows, nv).
-        slopes: How contacts change with q.
-        turns: (k, 3, 3) from the axes of these to those of the rows.
-        start: (rows, n) changes of their velocities at the start.
-        end: (rows, n) those at the end, at the same v⁺.
-        gaps: (rows, n) those of gaps, in rows along normals.
+        jacobian: (rows, nv) Jacobian.
+        slopes: Derivatives of the contacts by q.
+        turns: (k, 3, 3) rotations from the axes of `slopes` to those of the rows.
+        start: (rows, n) changes of the velocities at the start.
+        end: (rows, n) changes of the velocities at the end, at constant v⁺.
+        gaps: (rows, n) changes of the gaps, in normal rows.
     """
 
     jacobian: Array
@@ -50,16 +50,16 @@ class _Rows(NamedTuple):
 
 
 class _Moved(NamedTuple):
-    """Changes over a step, (…, n).
+    """Changes in a step, n columns.
 
     Attributes:
-        middle: (nv, n) of the configuration at the midpoint.
-        v_end: (nv, n) of the velocity at the end.
-        pushed: (nv, n) of the mean acceleration by impulses.
-        u_start, u_end: (rows, n) of the velocities of the rows.
-        length: (n,) of the length of the step [s].
+        middle: (nv, n) changes of the configuration at the midpoint.
+        v_end: (nv, n) changes of the velocity at the end.
+        pushed: (nv, n) changes of the mean acceleration by impulses.
+        u_start, u_end: (rows, n) changes of the velocities of the rows at the start and at the end.
+        length: (n,) changes of the step size [s].
         rows: The rows.
-        tied: Whether anything is at a tie.
+        tied: Whether any row is at a tie.
     """
 
     middle: Array
@@ -73,11 +73,16 @@ class _Moved(NamedTuple):
 
 
 class StepSlopes:
-    """Takes small changes through time steps.
+    """Propagates changes through time steps.
 
     Changes are (3 nv + 1, n): of q in the tangent space, of v, of `StepTaken.pushed`, and of the time at
-    which the state is reached, by which the next step is shorter; the last columns are those of the
-    parameters. `controlled` is the scene if its control is a function.
+    which the state is reached, by which the next step is shorter. The last columns are derivatives by the
+    parameters.
+
+    Args:
+        dynamics, model: The dynamics and the model.
+        parameters: Coefficients by which the motion is differentiated.
+        controlled: The scene if its control is a function, else None.
 
     Attributes:
         boundary: Flags of `Boundary`, set by the steps.
@@ -95,7 +100,7 @@ class StepSlopes:
         self._work, self._model = dynamics.work, model
         self._data, self._spare, self._aside = (model.createData() for _ in range(3))
         self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
-        # what has a friction of its own in sustained contact does not depend on that of impacts
+        # contacts with a separate coefficient for sustained contact do not depend on that of impacts
         own = [contact.sliding_friction is not None for contact in dynamics.contacts]
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in dynamics.contacts]
         self._alike = np.array(alike, dtype=bool)
@@ -105,17 +110,17 @@ class StepSlopes:
         self.boundary = Boundary.NONE
         self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
         self._carried = np.zeros(model.nv, dtype=bool)
-        # of the step last asked for
+        # results for the last step
         self._known: tuple[StepTaken, _Rows] | None = None
         self._held: tuple[StepTaken, StepLaw] | None = None
         for kind, _, j, _ in self._frames:
             self._carried[j : j + (3 if kind == RIGID else 2)] = True
 
     def begin(self, x: Array, step: DenseStep) -> Array:
-        """Return changes before the first step: what is closed stays so, see `Boundary.CLOSED`.
+        """Project changes before the first step onto those that active contacts admit. (`Boundary.CLOSED`)
 
-        Gaps stay closed at the midpoint, and velocities of what is closed zero at the start. Changes that do
-        not are followed by displacements and impulses at these contacts.
+        Gaps stay closed at the midpoint, and velocities of active contacts stay zero at the start, by
+        displacements and impulses at these contacts.
         """
         taken, nv = _taken(step), len(step.v)
         law = self._law(taken)
@@ -135,7 +140,7 @@ class StepSlopes:
         return x
 
     def _middle(self, step: DenseStep, x: Array, length: Array) -> tuple[Array, Array, Array]:
-        """Return changes (nv, n) of the configuration and the velocity at the midpoint, and of the length."""
+        """Return changes of the midpoint's q (nv, n) and v (nv, n), and of the step size (n,)."""
         nv, way = len(step.v), 0.5 * step.h * step.v
         by_v = x[nv : 2 * nv]
         by_way = 0.5 * step.h * by_v + 0.5 * np.outer(step.v, length)
@@ -151,7 +156,7 @@ class StepSlopes:
         return np.asarray(by_q)
 
     def _turned(self, turn: Array, v: Array, by_turn: Array, by_v: Array) -> tuple[Array, Array]:
-        """Return a velocity with that of free bodies in axes that have turned, and its changes (nv, n)."""
+        """Rotate the axes of free bodies' velocities by `turn`; return v and its changes (nv, n)."""
         v, by_v = v.copy(), by_v.copy()
         for kind, _, j, _ in self._frames:
             if kind == RIGID:
@@ -169,9 +174,9 @@ class StepSlopes:
         return v, by_v
 
     def through(self, x: Array, step: DenseStep, force: Array) -> Array:
-        """Return how changes x (3 nv + 1, n) before a step are after it, or at what touches in it.
+        """Return changes x (3 nv + 1, n) after a step, or at the impact that cuts it.
 
-        The changes of the generalized force are (nv, n).
+        `force` (nv, n) are the changes of the generalized force.
         """
         taken, nv = _taken(step), self._model.nv
         moved = self._differentiate(x, step, force)
@@ -188,13 +193,13 @@ class StepSlopes:
         return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
 
     def at(self, x: Array, step: DenseStep, t: float, force: Array) -> Array:
-        """Return how changes x before a step are at a time within it, (2 nv, n)."""
+        """Return changes x (3 nv + 1, n) before a step as changes (2 nv, n) at a time [s] within it."""
         taken, nv = _taken(step), len(step.v)
         if t >= step.end and not taken.arriving:
             return self.through(x, step, force)[: 2 * nv]
         moved, part = self._differentiate(x, step, force), (t - step.start) / step.h
         result = self._within(x, moved, step, part, -(x[-1] + part * moved.length) / step.h)
-        if taken.removals:  # little by little in the dense output
+        if taken.removals:  # the dense output distributes them linearly over the step
             end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
             result += part * (self._removed(end, taken) - end)
         return result
@@ -217,7 +222,7 @@ class StepSlopes:
     # ---- the equations of a step
 
     def _differentiate(self, x: Array, step: DenseStep, force: Array) -> _Moved:
-        """Return the changes over a step; NaN where a tie makes a difference. (D37)"""
+        """Return the changes in a step; NaN where they depend on how a tie is decided. (D37)"""
         taken, nv, h = _taken(step), len(step.v), step.h
         found, softened, q, v = taken.found, taken.softened, taken.middle, taken.v
         by_pushed, length = x[2 * nv : 3 * nv], -x[3 * nv]
@@ -225,14 +230,14 @@ class StepSlopes:
         work, follows = self._work, taken.follows  # the drives that follow their laws
         stiffness = np.where(follows, work.drive_stiffness, 0.0)
         damping = work.damping + np.where(follows, work.drive_damping, 0.0)
-        softer = 0.5 * damping + 0.5 * h * stiffness  # how what softens changes with h
+        softer = 0.5 * damping + 0.5 * h * stiffness  # derivative of `softened` by h
         mass = self._mass(q)
         total = mass + np.diag(softened)
         rows = self._rows(taken, at_middle)
         pushes = rows.jacobian.T @ found.impulse
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
-            """Return h δf − δM times a change of the velocity, for forces f at a mean velocity."""
+            """Return h δf − δM `change`, for forces f at a mean velocity."""
             still, by_still = turning(self._frames, mean)
             slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h - still)
             by_state = slopes[0] @ middle + stiffness[:, None] * middle - mass @ (by_still @ by_mean)
@@ -246,7 +251,7 @@ class StepSlopes:
         first = found.predicted - v - h * taken.pushed
         predicted = right(v, by_v, first) + np.outer(total @ first / h - softer * first, length)
         predicted = np.linalg.solve(total, predicted) + by_v + np.outer(taken.pushed, length)
-        if taken.pushed.any():  # zero where steps begin
+        if taken.pushed.any():  # it is zero in the first step
             predicted += h * by_pushed
         change, expected = found.v_end - v, found.predicted - v
         known = right(0.5 * (v + found.predicted), 0.5 * (by_v + predicted), change)
@@ -260,7 +265,7 @@ class StepSlopes:
         return moved
 
     def _refuse_landings(self, taken: StepTaken, moved: _Moved) -> None:
-        """Set changes by what only impacts have, as e, to NaN where something lands without one at e = 0."""
+        """Set derivatives by coefficients of impacts to NaN where a contact lands without one, at e = 0."""
         contacts, found = taken.rows.contacts, taken.found
         lands = found.fast[: len(contacts)] & self._alike[contacts]
         closes = (found.gap_end[: len(contacts)] < 0.0) & (len(taken.arriving) == 0)
@@ -271,11 +276,11 @@ class StepSlopes:
             moved.v_end[:, moved.v_end.shape[1] - len(columns) + np.flatnonzero(columns)] = np.nan
 
     def _refuse_ties(self, taken: StepTaken, moved: _Moved, given: tuple[Any, ...]) -> None:
-        """Set changes of the velocity to NaN on which a tie makes a difference."""
+        """Set changes of the velocity to NaN that depend on how a tie is decided."""
         rows, v_end, law = moved.rows, moved.v_end, self._law(taken)
         largest = np.abs(np.concatenate([moved.middle, moved.u_start, v_end])).max(axis=0)
         least = np.nanmax(largest, initial=ROUNDING)
-        if self._friction:  # by coefficients, of which the impulses are
+        if self._friction:  # changes by coefficients are of the size of the impulses
             pushed = taken.found.v_end - taken.found.predicted + taken.h * taken.pushed
             largest[-len(self._friction) :] += np.abs(pushed).max()
         sizes = np.abs(rows.jacobian[law.pinned]).sum(axis=1)
@@ -295,9 +300,9 @@ class StepSlopes:
         matrices: tuple[Array, Array],
         changes: tuple[Array, Array, Array],
     ) -> _Moved:
-        """Return the changes over a step, from those of the forces at given velocities and impulses. (D40)
+        """Return the changes in a step from those of the forces at constant velocities and impulses. (D40)
 
-        Ties are decided as the step has, or otherwise.
+        Ties are decided as in the step, or the opposite way if `otherwise`.
         """
         (total, softer), (middle, known, length) = matrices, changes
         jacobian, found, h, law = rows.jacobian, taken.found, taken.h, self._law(taken)
@@ -356,14 +361,14 @@ class StepSlopes:
         return out
 
     def _rows(self, taken: StepTaken, moved: tuple[Array, Array, Array]) -> _Rows:
-        """Return the rows of a step with their changes; `moved` has what `_middle` returns."""
+        """Return the rows of a step with their changes; `moved` is the result of `_middle`."""
         maps, every = self._maps(taken), np.vstack([moved[0], moved[1], moved[2][None]])
         if maps.slopes.features_meet:
             self.boundary |= Boundary.FEATURES_MEET
         return maps._replace(start=maps.start @ every, end=maps.end @ every, gaps=maps.gaps @ every)
 
     def _maps(self, taken: StepTaken) -> _Rows:
-        """Return the same by the configuration, by v and by the length, so that n = 2nv + 1."""
+        """Return the rows with derivatives by the configuration, v and the step size: n = 2nv + 1."""
         if self._known is not None and self._known[0] is taken:
             return self._known[1]
         v, h = taken.v, taken.h
@@ -396,10 +401,10 @@ class StepSlopes:
         upper = mass_matrix(self._model, self._data, q)
         return np.triu(upper) + np.triu(upper, 1).T
 
-    # ---- what follows from them
+    # ---- impacts, dense output and removal of overlap
 
     def _shift(self, moved: _Moved, taken: StepTaken, part: float, i: int) -> Array:
-        """Return the change (n,) of the part of a step after which a gap closes, by its number. (D35)"""
+        """Return the change (n,) of the fraction of a step after which the i-th near gap closes. (D35)"""
         row, h = int(taken.rows.normals[i]), taken.h
         start, end = float(taken.found.u_start[row]), float(taken.found.u_end[row])
         by_start, by_end = moved.u_start[row], moved.u_end[row]
@@ -409,7 +414,7 @@ class StepSlopes:
         return np.asarray(-gap / (h * (start + part * (end - start))))
 
     def _within(self, x: Array, moved: _Moved, step: DenseStep, part: float, shift: Array) -> Array:
-        """Return changes (2 nv, n) after a part of a step, which changes by `shift` (n,). (D34)"""
+        """Return changes (2 nv, n) after a fraction of a step, which itself changes by `shift` (n,). (D34)"""
         nv, h, v, by_v, length = len(step.v), step.h, step.v, x[len(step.v) : 2 * len(step.v)], moved.length
         back, by_back = -0.5 * h * v, -0.5 * h * by_v - 0.5 * np.outer(v, length)
         last, by_last = self._turned(back, _taken(step).found.v_end, by_back, moved.v_end)
@@ -424,7 +429,7 @@ class StepSlopes:
         return np.vstack([by_q, self._turned(xi, v + part * change, by_xi, reached)[1]])
 
     def _removed(self, x: Array, taken: StepTaken) -> Array:
-        """Return changes (2 nv, n) at the end of a step after overlap has been taken away. (D36)"""
+        """Return changes (2 nv, n) after the removal of overlap at the end of a step. (D36)"""
         model, (by_q, by_v) = self._model, np.split(x, 2)
         for xi, pushes, before, v, rows, near in taken.removals:
             placed = PlacedRobot(model, self._data, before)
@@ -440,7 +445,7 @@ class StepSlopes:
             pushing = every < of_contacts
             world[every[pushing] // 3, every[pushing] % 3] = pushes[pushing]
             kept = jacobian[every[acts]]
-            gaps = np.arange(len(every)) < len(rows.normals)  # else what is held, along its surface
+            gaps = np.arange(len(every)) < len(rows.normals)  # not tangential rows of held contacts
             gaps |= every % 3 == 2
             bent = (slopes.forces(world) - slopes.of_mass(xi)) @ by_q
             solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
@@ -453,6 +458,6 @@ class StepSlopes:
 
 
 def _taken(step: DenseStep) -> StepTaken:
-    """Return what a time step was computed from."""
+    """Return the data of a time step."""
     assert step.taken is not None
     return step.taken

@@ -1,4 +1,4 @@
-"""What a time step was computed from, kept for its derivative."""
+"""Data of a time step from which its derivatives are computed."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ._kernels.step_rows import StepResult, StepRows
 
 
 class Near(NamedTuple):
-    """What the rows of a time step belong to.
+    """The contacts of the rows of a time step.
 
     Attributes:
-        contacts: The near contacts, then held ones.
-        corners: By place among these: what contacts of two shapes stand for.
+        contacts: The near contacts, then the held ones.
+        corners: Corners that contacts of two shapes represent, by index in `contacts`.
     """
 
     contacts: tuple[Contact, ...]
@@ -25,15 +25,15 @@ class Near(NamedTuple):
 
 
 class Removal(NamedTuple):
-    """A displacement that takes away overlap at the end of a step.
+    """A displacement that removes overlap at the end of a step. (theory.md, 16)
 
     Attributes:
         displacement: (nv,) ξ.
-        pushes: z, along `StepRows.normals`, then `StepRows.held_rows` [kg m or kg m²].
-        before: (nq,) the configuration before.
-        v: (nv,) the velocity before.
+        pushes: Multipliers z, along `StepRows.normals`, then `StepRows.held_rows` [kg m or kg m²].
+        before: (nq,) configuration before it.
+        v: (nv,) velocity before it.
         rows: The rows there.
-        near: What they belong to.
+        near: Their contacts.
     """
 
     displacement: Array
@@ -46,23 +46,23 @@ class Removal(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class StepTaken:
-    """What a time step was computed from.
+    """Data of a time step.
 
     Attributes:
-        h: Its length, were it not cut [s].
+        h: Step size, before an impact cut the step [s].
         middle: (nq,) configuration at the midpoint.
-        v: (nv,) velocity at the start, in the axes there.
-        softened: (nv,) what damping and drives add to M.
+        v: (nv,) velocity at the start, in the axes of the midpoint.
+        softened: (nv,) what damping and drives add to the diagonal of M.
         pushed: (nv,) mean acceleration by the impulses of the step before.
-        follows: (nv,) which drives follow their laws.
-        near: What its rows belong to.
+        follows: (nv,) whether drives follow their laws, below the effort limits.
+        near: Contacts of its rows.
         axes: (k, 3, 3) axes of these contacts at the midpoint, as rows.
         rows, found: Rows and result of the step.
-        arriving: Numbers of the near contacts, and limits past those, that touch where it is cut.
-        struck: Of contacts of two shapes that touch where it is cut, by number.
-        touching: Gap up to which contacts touch [m].
-        overlap: Up to which gaps are closed though they are below zero [m].
-        removals: Of overlap at the end, one after another.
+        touching: Largest gap of a contact that touches [m].
+        overlap: Largest overlap that velocities close [m].
+        arriving: Indices in (near contacts, near limits) of those that close where the step is cut.
+        struck: Corners of contacts of two shapes that touch where the step is cut, by number of the contact.
+        removals: Successive removals of overlap at its end.
     """
 
     h: float

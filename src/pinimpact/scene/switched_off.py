@@ -1,4 +1,4 @@
-"""A scene's model, contacts and joints without what it switches off, see `Scene.without`."""
+"""Model, contacts and joints of a scene without the effects that are switched off, see `Scene.without`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def locked_joints(scene: Scene) -> Sequence[str | int]:
 
 
 def in_impacts(scene: Scene) -> Scene:
-    """Return a scene whose impacts need not be told what it switches off."""
+    """Return a scene with the switched-off effects removed from its model, contacts and joints."""
     return replace(
         scene,
         model=altered_model(scene.model, scene.without),

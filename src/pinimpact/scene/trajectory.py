@@ -1,4 +1,4 @@
-"""What a simulation leaves: samples, the motion in between, impacts, modes and energy."""
+"""The result of a simulation: samples, dense output, impacts, modes and energy."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ PARTS = (
     *("impacts", "events", "modes", "energy", "notes", "stepped"),
     *("termination", "complete", "switched_off", "statistics", "sources", "coordinates"),
 )
-"""Attributes that are arguments of a `Trajectory` as they are."""
+"""Arguments of `Trajectory` that are attributes of the same name."""
 
 SHOWN = 20
-"""Impacts that a notebook shows of a trajectory."""
+"""Number of impacts that the HTML representation shows."""
 
 
 class Trajectory:
@@ -57,7 +57,7 @@ class Trajectory:
             whose restitution was a function has 0; the value of each impact is in its problem.
         coordinates: Names of the entries of q and of v, after those of the joints.
         joint_table: (k, 4) the robot's configuration space, see `joint_charts`.
-        sensitivities: What `sensitivity` takes them from; None if `simulate` was not asked for any.
+        sensitivities: Source of `sensitivity`; None unless they were requested from `simulate`.
     """
 
     def __init__(
@@ -116,21 +116,20 @@ class Trajectory:
         return self._segments[self._number(t, side)].at(t)
 
     def _number(self, t: float, side: str) -> int:
-        """Return the number of the step that a time is in."""
+        """Return the number of the step that contains a time [s]."""
         if side == "right":
             return max(int(np.searchsorted(self._starts, t, side="right")) - 1, 0)
         return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
 
     def sensitivity(self, t: float, side: Literal["left", "right"] = "right") -> records.Sensitivity:
-        """Return how the state at a time follows the initial state and coefficients. (derivatives.md, 9)
+        """Return the derivatives of the state at a time by the initial state and by coefficients.
 
-        They are those named in `simulate(..., sensitivities=)`, for changes at which the same events take
-        place in the same order. At an event's time, before ("left") or after it ("right"). Not available
+        They are those named in `simulate(..., sensitivities=)`, for changes that preserve the order of
+        events. (derivatives.md, 9) At an event's time, before ("left") or after it ("right"). Not available
         from a file or pickle.
 
         Raises:
-            InputError: The errors of `at`, a trajectory without sensitivities, a motion until then of which
-                something has no known derivative.
+            InputError: As in `at`; a trajectory without sensitivities, or a motion without known derivatives.
         """
         _check_side(side)
         t = self._covered(t)
@@ -224,7 +223,7 @@ class Trajectory:
         return self._of_times(t, side, center)
 
     def _contact(self, name: str) -> int | None:
-        """Return which of the forces are a contact's; None if it can never touch."""
+        """Return the index of a contact in `Forces`; None if it cannot reach its surface."""
         if name in self._forces.contacts:
             return self._forces.contacts.index(name)
         labels = [contact.label for contact in self.contacts]
@@ -251,7 +250,7 @@ class Trajectory:
         return self._of_times(t, side, of)
 
     def _of_times(self, t: ArrayLike, side: str, part: Callable[[Forces | None], Array]) -> Array:
-        """Return what a part of the forces is at one or at many times."""
+        """Return `part(forces)` at one time, or stacked for several times [s]."""
         _check_side(side)
         found = []
         times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
@@ -291,9 +290,9 @@ class Trajectory:
         return "free"
 
     def _covered(self, t: float) -> float:
-        """Return a time as a float, or raise `InputError` where the trajectory does not cover it.
+        """Return a time as a float, or raise `InputError` if it is outside the trajectory.
 
-        Times off its ends by rounding (such as 3 * 0.1 > 0.3) are taken as the ends.
+        Times that differ from the ends by rounding (such as 3 * 0.1 > 0.3) are taken as the ends.
         """
         time = real_number("t", t)
         start, end = self.t[[0, -1]].tolist()
@@ -335,7 +334,7 @@ class Trajectory:
         found |= {"kinetic": energy.kinetic, "potential": energy.potential}
         found |= {f"work.{cause}": work for cause, work in energy.by_cause().items()}
         found["residual"] = energy.residual
-        before = np.append(t[1:] == t[:-1], False)  # an impact, or the like, follows
+        before = np.append(t[1:] == t[:-1], False)  # before an impact or other jump
         labels = [contact.label for contact in self.contacts]
         forces = np.zeros((len(t), len(labels), 3))
         if labels:
@@ -369,7 +368,7 @@ class Trajectory:
         return cls(**read_trajectory(path))
 
     def _parts(self) -> dict[str, Any]:
-        """Return what the trajectory was made from, by the names of its arguments."""
+        """Return the arguments of `Trajectory` that describe this one, for files and pickles."""
         parts = {name: getattr(self, name) for name in PARTS}
         return parts | {
             "segments": self._segments,
@@ -383,7 +382,7 @@ class Trajectory:
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the forces as numbers, for what evaluates them has addresses of this process."""
+        """Pickle the forces as tables: the object that evaluates them holds addresses of this process."""
         return partial(Trajectory, **self._parts()), ()
 
     def __repr__(self) -> str:
@@ -394,7 +393,7 @@ class Trajectory:
         )
 
     def __str__(self) -> str:
-        """Return what the motion came to in some lines; notes that say the same are one line."""
+        """Return a summary of several lines; notes that differ only in numbers are one line."""
         hits = ", ".join(
             f"{source} {count}" for source, count in Counter(i.source for i in self.impacts).items()
         )
@@ -447,7 +446,7 @@ def _check_side(side: str) -> None:
 
 
 def _in_axes(forces: Forces | None, i: int | None) -> Array:
-    """Return the force (3,) at a contact in its axes, zero where there is none."""
+    """Return the force (3,) at a contact in its axes, zero if there is none."""
     if forces is None or i is None or not forces.world[i].any():
         return np.zeros(3)
     return contact_axes(forces.normals[i]) @ forces.world[i]

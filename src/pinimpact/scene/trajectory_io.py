@@ -1,4 +1,4 @@
-"""Trajectories as files: one .npz of numbers and text, nothing that runs when it is read."""
+"""Trajectory files: one .npz file of numbers and text, which contains no code."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterva
 FORMAT = 2
 
 SURFACES: dict[str, type[Surface]] = {"plane": Plane, "sphere": Sphere, "box": Box, "shape": Shape}
-"""What a surface's `kind` stands for."""
+"""Class of each `kind` of surface."""
 
 GROUP = ("delassus", "velocity", "friction", "restitution", "law", "surface_velocity", "stiffness")
-"""What is stored of the problem of several contacts."""
+"""Stored fields of an impact problem at several contacts."""
 
 PLAIN = ("termination", "complete", "switched_off", "statistics", "sources", "coordinates")
-"""What JSON stores as it is."""
+"""Arguments of `Trajectory` that are stored as JSON."""
 
 FORCE_TABLES = ("force_rows", "force_world", "force_points", "force_normals", "force_joints", "force_unique")
 
 
 def write_trajectory(path: str | Path, parts: Mapping[str, Any]) -> None:
-    """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
+    """Write the arguments of a `Trajectory`, by name, to one .npz file."""
     impacts, segments, events, forces = (parts[name] for name in ("impacts", "segments", "events", "forces"))
     t, q, v = parts["samples"]
     nq, nv = q.shape[1], v.shape[1]
@@ -78,7 +78,7 @@ def write_trajectory(path: str | Path, parts: Mapping[str, Any]) -> None:
 
 
 def _impacts_in_words(impacts: Sequence[ImpactRecord]) -> dict[str, Any]:
-    """Return what of impacts is no array: their coefficients, points, and problems of several contacts."""
+    """Return the data of impacts that are stored as JSON: coefficients, points, problems at many contacts."""
     groups = list(dict.fromkeys(impact.group[0] for impact in impacts if impact.group is not None))
     return {
         "points": [None if i.contact is None else _contact_fields(i.contact) for i in impacts],
@@ -116,10 +116,10 @@ def _stack(rows: Sequence[Any], *shape: int) -> Array:
 
 
 def read_trajectory(path: str | Path) -> dict[str, Any]:
-    """Return what `write_trajectory` wrote, by the names of its arguments.
+    """Return the arguments of a `Trajectory`, by name, from a file of `write_trajectory`.
 
     Raises:
-        InputError: A file that is missing, or is no trajectory.
+        InputError: The file is missing, or is not a trajectory.
     """
     arrays, meta = _opened(path)
     events = [
@@ -143,7 +143,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
 
 
 def _opened(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arrays of a file and the rest, or raise `InputError`."""
+    """Return the arrays and the JSON data of a file, or raise `InputError`."""
     path = file_path("path", path)
     if not path.is_file():
         raise InputError(f"path: there is no file {path}", value=path)
@@ -213,13 +213,13 @@ def _impacts(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> list[ImpactR
 
 
 def _fields(value: Any) -> dict[str, Any]:
-    """Return what a contact or a surface was made from, as JSON can have it."""
-    made_from = {field.name: getattr(value, field.name) for field in dataclass_fields(value) if field.init}
-    return {name: int(v) if isinstance(v, np.integer) else v for name, v in made_from.items()}
+    """Return the arguments of a contact or a surface, with numbers that JSON supports."""
+    arguments = {field.name: getattr(value, field.name) for field in dataclass_fields(value) if field.init}
+    return {name: int(v) if isinstance(v, np.integer) else v for name, v in arguments.items()}
 
 
 def _contact_fields(contact: Contact) -> dict[str, Any]:
-    """Return what a contact was made from, without functions; of two shapes also that of the shapes."""
+    """Return the arguments of a contact, without functions, and of its pair if it has one."""
     found = _fields(contact) | {"plane": {"kind": contact.plane.kind} | _fields(contact.plane)}
     if callable(contact.restitution):
         found["restitution"] = 0.0
@@ -235,7 +235,7 @@ def _contact(fields: dict[str, Any]) -> Contact:
 
 
 def _plain(value: Any) -> Any:
-    """Return an array as nested lists, whose numbers JSON keeps to the last digit."""
+    """Return an array as nested lists, whose numbers JSON stores to the last digit."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -253,7 +253,7 @@ def _contact_space(
 
 
 def _factor(problem: ImpactProblem) -> Array:
-    """Return the factor (3, 3) of an impact's W, row by row, and its scale; NaN where there is none."""
+    """Return the factor (3, 3) of an impact's W, row by row, and its scale (10,); NaN if there is none."""
     if problem.factor is None or problem.factor_scale is None:
         return np.full(10, np.nan)
     return np.append(np.asarray(problem.factor), problem.factor_scale)
