@@ -95,13 +95,13 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
 
 
 def tips_of(solid: Any, rim_points: int | None) -> ShapeTips:
-    """Return what of a solid of coal, but for meshes and hulls, can touch a plane; see `shape_tips`."""
+    """Return `shape_tips` of a coal geometry other than a mesh or hull."""
     tips = _MAKERS[type(solid).__name__](solid)
     return tips if rim_points is None else _with_points(tips, rim_points)
 
 
 def swept_radius(solid: Any) -> float:
-    """Return the radius of the sphere of the swept sphere of a shape in coal [m]."""
+    """Return the radius of the swept sphere of a coal geometry [m]."""
     return float(solid.getSweptSphereRadius()) if hasattr(solid, "getSweptSphereRadius") else 0.0
 
 

@@ -39,7 +39,7 @@ class Touch(NamedTuple):
         return Touch(f"{second}-{first}", self.other, self.point, self.features[::-1])
 
     def edges(self, a: PlacedShape, b: PlacedShape) -> Array:
-        """Return the directions (2, 3) of the edges of the two that meet, zero where a feature is none."""
+        """Return the directions (2, 3) of the edges in contact of A and B; zeros for other features."""
         found = np.zeros((2, 3))
         for k, (shape, feature) in enumerate(zip((a, b), self.kind.split("-"), strict=True)):
             if feature == "edge":

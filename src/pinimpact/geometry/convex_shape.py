@@ -83,7 +83,7 @@ class PlacedShape:
         return np.einsum("ij,ij->i", self.normals, self.vertices[first]) if first else np.zeros(0)
 
     def edge(self, k: int) -> Array:
-        """Return from one end of an edge to the other (3,), in world axes [m]."""
+        """Return the vector (3,) from one end of an edge to the other, in world axes [m]."""
         first, last = self.vertices[self.shape.edges[k]]
         along: Array = last - first
         return along
@@ -212,7 +212,7 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
 
 
 def _coplanar(normals: Array) -> list[Integers]:
-    """Return groups of facets with one normal, which lie in one plane for a convex body has one such face."""
+    """Return groups of facets of equal normals; those of a convex body lie in one plane."""
     groups, left = [], np.arange(len(normals))
     while len(left):
         same = np.linalg.norm(normals[left] - normals[left[0]], axis=1) < COINCIDE

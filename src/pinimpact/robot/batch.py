@@ -287,7 +287,7 @@ def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:
 
 
 def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
-    """Use `contact_matrices`, computed once for each run of equal q, and `solve_impacts`."""
+    """Solve the rows by `contact_matrices`, once for consecutive rows of equal q, and `solve_factored`."""
     model, contact, count, nv = rows.model, rows.contact, len(rows.q), rows.model.nv
     delassus, velocity, scale = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan), np.zeros(count)
     response, surface, axes = np.zeros((count, nv, 3)), np.zeros((count, 3)), np.zeros((count, 3, 3))

@@ -58,9 +58,9 @@ def _views(columns: Callable[[int], slice | int]) -> tuple[_View, _View]:
 
 
 class ImpactDerivatives:
-    """How q̇⁺ and the impulse P of an impact change; by q in the tangent space, as Pinocchio integrates.
+    """Derivatives of q̇⁺ and of the impulse P of an impact; those by q are in the tangent space of q.
 
-    Columns that have no derivative hold NaN, see `boundary`.
+    Columns without derivative are NaN, see `boundary`.
 
     Attributes:
         v: (nv,) q̇⁺.

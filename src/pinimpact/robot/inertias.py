@@ -1,4 +1,4 @@
-"""Whether the inertias of a model can be those of bodies."""
+"""Checks that the inertias of a model are physically possible."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def check_inertias(model: pin.Model) -> None:
                 value=name,
             )
         if not np.isfinite(inertia.toDynamicParameters()).all():
-            continue  # the mass matrix is refused
+            continue  # rejected with the mass matrix
         least, middle, largest = np.linalg.eigvalsh(inertia.inertia).tolist()
-        rounding = NOISE * inertia.mass * float(inertia.lever @ inertia.lever)  # of sums of several links
+        rounding = NOISE * inertia.mass * float(inertia.lever @ inertia.lever)  # for sums of several links
         if largest - least - middle > ROUNDED_INERTIA * largest + rounding:
             warnings.warn(
                 f"model: no body can have the inertia of joint {name!r}: its principal moments are "

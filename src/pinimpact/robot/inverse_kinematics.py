@@ -21,12 +21,12 @@ from .names import model_of
 
 MAX_STEPS = 100
 SHORTEST_PART = 0.01
-"""Smallest part of a step."""
+"""Smallest fraction of a Gauss–Newton step in the line search."""
 LONGEST_STEP = 0.5
 """Largest change of a coordinate in one step, except for the position of a free base, in which the problem is
 linear."""
 STARTS = 8
-"""Number of restarts, further and further away, of a search that ends without contact."""
+"""Number of searches, from increasing distances, until one ends with contact."""
 
 
 class _Found(NamedTuple):
@@ -130,7 +130,7 @@ class _Search:
     def configuration(self, x: Array) -> Array:
         """Return q displaced by x, within the limits of its joints."""
         q = pin.integrate(self._model, self._q, x)
-        return np.clip(q, *self._bounds)  # which the rounding of a sum may lead beyond
+        return np.clip(q, *self._bounds)  # rounding may violate the limits
 
     def run(self, x: Array) -> _Found:
         """Close the gaps from a displacement, then reduce the displacement and keep them closed."""

@@ -111,7 +111,7 @@ def load_robot(
 def _checked(
     robot: Any, package_dirs: Any, free_flyer: bool | None, mimic: bool | None
 ) -> tuple[str | Path, ...]:
-    """Return the package folders, or raise what is wrong with the arguments of `load_robot`."""
+    """Return the package folders, or raise `InputError` for an invalid argument of `load_robot`."""
     if not isinstance(robot, (str, Path)):
         raise InputError(
             f"robot: {type(robot).__name__} given; the name of a robot or the path of a file is expected",
@@ -165,7 +165,7 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
         )
     try:
         model = pin.buildModelFromUrdf(str(path), *root_joint)
-    except Exception as error:  # urdfdom and Pinocchio raise what they like
+    except Exception as error:  # urdfdom and Pinocchio raise no specific type
         reason = _reason(path) or str(error).strip()
         raise ModelError(
             f"robot: {path} is not a URDF file that Pinocchio can read: {reason}", value=str(path)
@@ -201,7 +201,7 @@ def _reason(path: Path) -> str:
 def _kind_of(path: Path) -> str:
     """Return the root tag of an XML file, "" if there is none."""
     try:
-        with open(path, "rb") as file:  # which iterparse leaves open where it does not come to the end
+        with open(path, "rb") as file:  # iterparse would not close a file that it does not read to the end
             for _, element in ElementTree.iterparse(file, events=("start",)):
                 return str(element.tag)
     except ElementTree.ParseError:
@@ -218,7 +218,7 @@ def _no_sdf(what: str | Path) -> ModelError:
 
 
 def _check_inertias(path: Path) -> None:
-    """Refuse negative masses, and what is not a number: urdfdom leaves out the inertia then."""
+    """Raise `ModelError` for negative masses, and for text that is not a number, which urdfdom drops."""
     for link in ElementTree.parse(path).getroot().iter("link"):
         for element in (*link.iterfind("inertial/mass"), *link.iterfind("inertial/inertia")):
             for key, text in element.items():
@@ -247,7 +247,7 @@ def _shapes(
     """Return the shapes of one kind, without those of unusable meshes, which are added to `missing`."""
     try:
         return pin.buildGeomFromUrdf(model, str(path), kind, package_dirs=folders)
-    except Exception:  # of which one it is there is no more than a text
+    except Exception:  # Pinocchio raises no specific type
         root = ElementTree.parse(path).getroot()
     tag = "collision" if kind == pin.GeometryType.COLLISION else "visual"
     shaped = [
@@ -293,7 +293,7 @@ class _Mimic(NamedTuple):
 
 
 def _mimic_joints(path: Path, model: pin.Model) -> dict[str, _Mimic]:
-    """Return the joints of a model that mimic another one, and how; a leader mimics no other."""
+    """Return the joints of a model that mimic others, with leaders that do not mimic others themselves."""
     found = {}
     for joint in ElementTree.parse(path).getroot().iterfind("joint"):
         tag = joint.find("mimic")

@@ -31,9 +31,9 @@ from .touching import check_rims
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ManyImpactDerivatives:
-    """How q̇⁺ and the impulses P of an impact at n contacts change; by q in the tangent space.
+    """Derivatives of q̇⁺ and of the impulses P of an impact at n contacts; by q in the tangent space.
 
-    Columns that have no derivative hold NaN, see `boundary`.
+    Columns without derivative are NaN, see `boundary`.
 
     Attributes:
         v: (nv,) q̇⁺.
@@ -61,7 +61,7 @@ class ManyImpactDerivatives:
 
 
 class ContactRow(NamedTuple):
-    """Three rows of a Jacobian, of a contact, and how they change with q."""
+    """The three rows of a contact Jacobian, and their derivatives by q."""
 
     tree: Tree
     place: Place
@@ -73,12 +73,12 @@ class ContactRow(NamedTuple):
 
     @property
     def turns(self) -> Array:
-        """(3, nv) How the axes turn with q, in the world."""
+        """(3, nv) rotation of the axes per unit of each q_k, in world axes."""
         return self.place.shifts[:, places.TURN : places.TURN + 3].T
 
     @property
     def jacobian(self) -> Array:
-        """(3, nv) The rows in world axes."""
+        """(3, nv) the rows in world axes."""
         at, shifts, motions = self.place.at, self.place.shifts, self.tree.J
         point = at[places.POINT : places.POINT + 3]
         moved = motions[:3] - pin.skew(point) @ motions[3:]
@@ -86,14 +86,14 @@ class ContactRow(NamedTuple):
 
     @property
     def of_surface(self) -> Array:
-        """(3,) The velocity of the surface against its carrier, in the world [m/s]."""
+        """(3,) velocity of the surface relative to its carrier, in world axes [m/s]."""
         at = self.place.at
         arm = at[places.POINT : places.POINT + 3] - at[places.ORIGIN : places.ORIGIN + 3]
         material = at[places.MATERIAL : places.MATERIAL + 3]
         return np.asarray(material + pin.skew(at[places.SPIN : places.SPIN + 3]) @ arm)
 
     def slopes(self, motions: Array, relative: bool = False) -> Array:
-        """Return ∂(J x)/∂q (3, nv) for the motions of x, as `velocity_slopes`. (D19)"""
+        """Return ∂(J x)/∂q (3, nv) for the motions (joints, 6) of x, see `velocity_slopes`. (D19)"""
         tip, base, at, shifts, _ = self.place
         out = np.empty((3, len(self.tree.joint)))
         places.velocity_slopes(*self.tree, tip, base, at, shifts, motions, relative, out)

@@ -17,10 +17,10 @@ from ..arrays import Array
 from ..errors import ModelError
 
 SLIDES = "JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic"
-"""Names of joints whose coordinate is a length begin like this."""
+"""Prefixes of the names of joints whose coordinate is a length."""
 
 SAME = 1e-6
-"""Part of the largest inertia, force or limit to which two programs agree that integrate meshes otherwise."""
+"""Tolerance relative to the largest inertia, force or limit: two programs integrate meshes differently."""
 
 
 def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
@@ -94,7 +94,7 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
 
 @cache
 def _misread_limits() -> tuple[float, float]:
-    """Return what Pinocchio makes of a metre in limits where angles are in degrees, and of `ref`."""
+    """Return Pinocchio's length of a range of 1 m in a file in degrees, and its lower limit for `ref` = 1."""
     text = """<mujoco><worldbody><body name="x"><joint name="x" type="slide" ref="1" range="0 1"/>
         <geom size="1"/></body></worldbody></mujoco>"""
     with tempfile.TemporaryDirectory() as temporary:
@@ -106,7 +106,7 @@ def _misread_limits() -> tuple[float, float]:
 
 
 def _correct_limits(model: pin.Model, root: ElementTree.Element, start: Array) -> None:
-    """Let limits be those of the file, whose own coordinates begin at `start`."""
+    """Set the limits to those of the file, whose own coordinates begin at `start`."""
     metre, part = _misread_limits()
     angles = [compiler.get("angle") for compiler in root.findall("compiler[@angle]")]
     if angles[-1:] == ["radian"]:
@@ -124,7 +124,7 @@ def _correct_limits(model: pin.Model, root: ElementTree.Element, start: Array) -
 
 
 def _differences(model: pin.Model, path: Path) -> list[str]:
-    """Return in what a model differs from MuJoCo's of the file, if MuJoCo is installed and can read it."""
+    """Return the differences of a model from MuJoCo's of the file, if MuJoCo is installed and can read it."""
     try:
         import mujoco
 
@@ -175,7 +175,7 @@ def _shapes(model: pin.Model, path: Path, kind: pin.GeometryType) -> tuple[pin.G
     """Return the shapes of one kind, without those whose meshes cannot be used, and the files of these."""
     try:
         return pin.buildGeomFromMJCF(model, str(path), kind), []
-    except Exception:  # of which one it is there is no more than a text
+    except Exception:  # Pinocchio raises no specific type
         tree = ElementTree.parse(path)
     root = tree.getroot()
     compiler = root.find("compiler")

@@ -108,7 +108,7 @@ def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffe
 
 
 def is_stiff(stiffening: Stiffening) -> bool:
-    """Return whether joints may be stiffened: not by None or 0."""
+    """Return whether a stiffening may stiffen joints, that is, is neither None nor 0."""
     if stiffening is None or isinstance(stiffening, Mapping):
         return stiffening is not None
     return real_number("stiffening", stiffening) != 0.0
@@ -121,7 +121,7 @@ def single_joints(model: pin.Model) -> dict[str, int]:
 
 
 def _not_stiffened(what: str, value: Any) -> InputError:
-    """Return the error for what has no joint to stiffen."""
+    """Return the error for a stiffening of joints that do not have one velocity."""
     return InputError(
         f"stiffening: {what}; it is for joints with one velocity, others can only be locked", value=value
     )

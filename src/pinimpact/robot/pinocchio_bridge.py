@@ -69,14 +69,14 @@ def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
 
 def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     mass = pin.crba(model, data, q)
-    with contextlib.suppress(np.linalg.LinAlgError):  # mostly clear, without a kernel
+    with contextlib.suppress(np.linalg.LinAlgError):  # sufficient in most cases, without compiling a kernel
         pivots = np.diag(np.linalg.cholesky(mass[::-1, ::-1]))[::-1] ** 2
         if (np.diag(mass) / pivots).prod() < 1.0 / RANK:
             return
     parents = np.array(data.parents_fromRow, dtype=np.int64)
     stopped = tree.factor(mass, parents, np.zeros_like(mass))
     if stopped >= 0:
-        if flaw(model) is not None:  # which makes the mass matrix a wrong one
+        if flaw(model) is not None:  # the mass matrix is wrong
             refuse(model)
         raise singular_mass(model, stopped)
 
@@ -109,7 +109,8 @@ class RobotDynamics:
 def robot_dynamics(model: pin.Model) -> RobotDynamics:
     """Return the forward dynamics of a robot, with results in place if this version of Pinocchio allows it.
 
-    Raises `ModelError` for a robot of which Pinocchio has none: mimic joints, none, or not depth-first.
+    Raises `ModelError` if Pinocchio has no forward dynamics for it: mimic joints, no joints, or not
+    depth-first.
     """
     _check_joints(model)
     forest = data_of(model)
@@ -135,7 +136,7 @@ class _InPlace(RobotDynamics):
         self.forward_dynamics = Call(pin.aba, (model, data, self.q, self.v, self.tau, _WORLD))
         self.inverse_mass = Call(pin.computeMinverse, (model, data))
         self.forward_kinematics = Call(pin.forwardKinematics, (model, data, self.q, self.v))
-        for call in (self.forward_dynamics, self.inverse_mass):  # so that all has the size it will have
+        for call in (self.forward_dynamics, self.inverse_mass):  # results get their final size
             call.function(*call.arguments)
         if not (_by_column(data.ddq) and _by_column(data.J) and by_row(data.Minv)):
             raise ElsewhereError("ddq, J or Minv")
@@ -379,7 +380,7 @@ def probe(model: pin.Model) -> tuple[pin.Model, Array, Array, Array]:
     """Return a copy whose links all have a well-conditioned inertia, and random q, v and τ."""
     model = model.copy()
     lengths = [float(np.linalg.norm(place.translation)) for place in list(model.jointPlacements)[2:]]
-    size = max([1.0, *lengths])  # in whatever unit
+    size = max([1.0, *lengths])  # independent of the unit of length
     for joint in range(1, model.njoints):
         center, about_it = np.array([0.1, 0.2, 0.3]), np.diag([0.4, 0.5, 0.6])
         model.inertias[joint] = pin.Inertia(1.0, size * center, size**2 * about_it)
@@ -392,7 +393,7 @@ def probe(model: pin.Model) -> tuple[pin.Model, Array, Array, Array]:
 
 
 def agree(one: Array, other: Array) -> bool:
-    """Return whether two ways give the same numbers."""
+    """Return whether two results are equal to `AGREEMENT`."""
     return one.shape == other.shape and bool(
         np.abs(one - other).max(initial=0.0) <= AGREEMENT * (1.0 + np.abs(other).max(initial=0.0))
     )

@@ -1,7 +1,4 @@
-"""The numbers of a model for the kernels of its tree, read in place.
-
-See `pinocchio_bridge` for the assumptions of this.
-"""
+"""Numbers of a model for the kernels of its tree, read in place under assumptions of `pinocchio_bridge`."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ def tree_of(model: pin.Model, parts: Sequence[pin.Model]) -> Tree | None:
     """
     if bridge.flaw(model) is not None:
         return None
-    compile_all((robot_impact,), (evaluate_tree,), (contact_axes,))  # what an impact needs, at once
+    compile_all((robot_impact,), (evaluate_tree,), (contact_axes,))  # all kernels of an impact, in parallel
     if not all(bridge.trusted(part, disagreement_of_tree) for part in parts):
         return None
     with contextlib.suppress(bridge.ElsewhereError):
@@ -174,10 +171,16 @@ def workspace_of(
     parents: Integers,
     signs: Array,
 ) -> RobotWorkspace:
-    """Return the workspace of a contact, without the contact's constants.
+    """Return the workspace of a contact, without the constants of the contact.
 
-    Carrier is the frame of the surface, 0 for the world; bounds are (2, nq), parents (nv,) the next
-    velocities towards the root, or −1, signs (nv,) as in `contact_kinematics.fill_jacobian`.
+    Args:
+        tree: Numbers of the model.
+        frame: Id of the frame of the contact.
+        carrier: Id of the frame of the surface, 0 for the world.
+        model: The model.
+        bounds: (2, nq) joint limits.
+        parents: (nv,) next velocity towards the root, or −1.
+        signs: (nv,) as in `contact_kinematics.fill_jacobian`.
     """
     arrays = tree.given | {
         "frame": placement_of_frame(model, frame),

@@ -7,7 +7,7 @@ import math
 from ..._compile.jit import inlined
 from .constants import AXES
 
-# what every kernel of a surface defines; x is relative to the surface's own point, all in its carrier's axes
+# functions of each surface kernel; x is relative to the point of the surface, in the axes of its carrier
 
 
 @inlined

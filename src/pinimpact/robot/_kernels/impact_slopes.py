@@ -129,7 +129,7 @@ def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, re
     first, more = 0 if by_q else nv, 2 * nv
     rows = np.empty((3, more + MORE))
     x1, x2, x3 = at[POINT] - at[ORIGIN], at[POINT + 1] - at[ORIGIN + 1], at[POINT + 2] - at[ORIGIN + 2]
-    moving = np.empty((6, 3))  # what its velocities along and about its axes are at the point
+    moving = np.empty((6, 3))  # velocity of the point, in contact axes, per unit surface velocity and spin
     for j in range(3):
         d1, d2, d3 = carrier[3 * j], carrier[3 * j + 1], carrier[3 * j + 2]
         moving[j, 0], moving[j, 1], moving[j, 2] = rotate_back(at, d1, d2, d3)

@@ -21,7 +21,7 @@ class RobotWorkspace(Workspace):
     bodies = size("joints of the model, with the world")
     room = size("numbers that one impact needs room for, see `room_for`")
 
-    # the robot, where Pinocchio keeps it, so that what is changed there counts
+    # the robot, in Pinocchio's memory, so that changes of the model take effect
     joint_placements = reals("bodies", 12, given=True, meaning="on the parent joint")
     inertias = reals("bodies", 10, given=True, meaning="mass, centre (3), about it xx, xy, yy, xz, yz, zz")
     armature = reals("nv", given=True, meaning="rotor inertias")
