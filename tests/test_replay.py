@@ -336,6 +336,11 @@ def test_replay_refuses(fall) -> None:
         pinimpact.replay(robot, trajectory, None, speed=0.0)
     with pytest.raises(pinimpact.InputError, match=r"slowdown: 0\.5"):
         pinimpact.replay(robot, trajectory, None, slowdown=0.5)
+    with pytest.raises(pinimpact.InputError, match="slowdown: 'slow'"):
+        pinimpact.replay(robot, trajectory, None, slowdown="slow")
+    for wrong in ("tip", ["tip"], 3):
+        with pytest.raises(pinimpact.InputError, match="contacts: "):
+            pinimpact.replay(robot, trajectory, None, contacts=wrong)
     with pytest.raises(pinimpact.InputError, match="motion: None"):
         pinimpact.replay(robot, None, None)
     other = pinimpact.load_robot("ur5")

@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
-from ..checks import above_zero, finite_array, in_short, output_file
+from ..checks import above_zero, as_tuple, finite_array, in_short, output_file, real_number
 from ..errors import InputError
 from ..geometry.collision_shapes import extreme_points
 from ..geometry.plane import Plane
@@ -149,8 +149,8 @@ def replay(
         open: Whether to open the page in the browser.
 
     Raises:
-        InputError: A robot that is not the one of the motion, a speed that is not positive, a hit without its
-            configuration.
+        InputError: A robot that is not the one of the motion, a speed that is not positive, contacts that are
+            none, a hit without its configuration.
         UnknownNameError: A contact at a frame that the robot does not have.
     """
     if isinstance(robot, (Hit, ManyHit)):
@@ -158,14 +158,17 @@ def replay(
     speed = above_zero("speed", speed)
     if path is not None:
         output_file("path", path)  # before anything is computed
+    slowdown = real_number("slowdown", slowdown)
     if not math.isfinite(slowdown) or slowdown < 1.0:
-        raise InputError(
-            f"slowdown: {in_short(slowdown)} given, a number of at least 1 expected", value=slowdown
-        )
+        raise InputError(f"slowdown: {slowdown} given, a number of at least 1 expected", value=slowdown)
+    if contacts is not None:
+        contacts = as_tuple("contacts", contacts, Contact, "a Contact")
+        if not all(isinstance(contact, Contact) for contact in contacts):
+            raise InputError(f"contacts: {in_short(contacts)} given, Contacts expected", value=contacts)
     if isinstance(motion, (Hit, ManyHit, ImpactRecord)):
         text = _impact_page(robot, motion, contacts, q)
     elif isinstance(motion, Trajectory):
-        text = _motion_page(robot, motion, contacts, speed, float(slowdown))
+        text = _motion_page(robot, motion, contacts, speed, slowdown)
     else:
         raise InputError(f"motion: {in_short(motion)} is neither a trajectory nor an impact", value=motion)
     shown = Replay(text, None)
