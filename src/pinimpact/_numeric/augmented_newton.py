@@ -290,7 +290,7 @@ def solve_compliances(problem, profile, r, before, least, now, system):
     It stops at a relative norm `least` of the residual, which is small so that results are differentiable.
     system (m, m) is a scratch array; other arguments as in `fill_system`.
     """
-    w, momentum, residual = now.w, now.momentum, now.off
+    w, momentum, residual = now.w, now.momentum, now.residual
     m, previous_error = len(w), math.inf
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
