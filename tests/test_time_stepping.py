@@ -523,15 +523,16 @@ def redundant_problem(rng):
     return mass, jacobian, free, rng.uniform(0.0, 1.0, nc)
 
 
-def solved(mass, jacobian, free, mu, compliance, impulse, begin=None):
-    """Fill the impulses of one island; return how far they are from the law."""
+def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=None):
+    """Fill the impulses of one island, and r and f⁺ of its iterations; return how far they are from the law."""
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     tree = np.zeros(m, dtype=np.int64)
     problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, mu, none, none, compliance)
     return step_impulses(
         *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11),
-        *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse, np.empty((2, 0, n))),
+        *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),
+        np.empty((2, 0, n)) if course is None else course,
     )
 
 
@@ -577,6 +578,17 @@ def test_more_rows_than_velocities_obey_coulombs_law():
         )  # μ f_n |u_t| where friction is along slip and at its bound
         np.testing.assert_allclose(work, mu * force[:, 2] * slip, atol=1e-5 * size * largest)
     assert unsolved <= 12
+
+
+def test_contacts_that_yield_unequally_take_few_iterations():
+    """Eigenvalues of W are 2 and 0.006: with r = 0.003 an iteration leaves a third of the change."""
+    mass, mu, impulse, course = np.diag([1.0, 1.0, 1.0 / 0.003]), np.zeros(2), np.zeros(6), np.zeros((2, 40, 6))
+    jacobian = np.zeros((6, 3))
+    jacobian[2], jacobian[5] = (0.0, 1.0, 1.0), (0.0, 1.0, -1.0)
+    off = solved(mass, jacobian, jacobian @ [0.0, -1.0, -0.001], mu, np.ones(2), impulse, course=course)
+    assert off < 1e-10
+    np.testing.assert_allclose(impulse[2::3], [2.0 / 3.0, 1.0 / 3.0], rtol=1e-8)
+    assert 5 < course[0].any(axis=1).sum() < 12
 
 
 def test_meshes_move_as_boxes_do():
