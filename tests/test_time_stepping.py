@@ -524,7 +524,7 @@ def redundant_problem(rng):
 
 
 def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=None):
-    """Fill the impulses of one island, and r and f⁺ of its iterations; return how far they are from the law."""
+    """Fill the impulses of one island, and the course of its iterations; return the residual."""
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     tree = np.zeros(m, dtype=np.int64)
@@ -582,8 +582,8 @@ def test_more_rows_than_velocities_obey_coulombs_law():
 
 def test_contacts_that_yield_unequally_take_few_iterations():
     """Eigenvalues of W are 2 and 0.006: with r = 0.003 an iteration leaves a third of the change."""
-    mass, mu, impulse, course = np.diag([1.0, 1.0, 1.0 / 0.003]), np.zeros(2), np.zeros(6), np.zeros((2, 40, 6))
-    jacobian = np.zeros((6, 3))
+    mass, mu, impulse = np.diag([1.0, 1.0, 1.0 / 0.003]), np.zeros(2), np.zeros(6)
+    jacobian, course = np.zeros((6, 3)), np.zeros((2, 40, 6))
     jacobian[2], jacobian[5] = (0.0, 1.0, 1.0), (0.0, 1.0, -1.0)
     off = solved(mass, jacobian, jacobian @ [0.0, -1.0, -0.001], mu, np.ones(2), impulse, course=course)
     assert off < 1e-10

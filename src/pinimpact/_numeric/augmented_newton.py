@@ -40,11 +40,11 @@ PATIENCE = 3
 """Number of successive iterations without halving of the change after which the method may end."""
 
 FINER = 0.1
-"""Factor of r after an iteration that reduces the change of f too little, if the last factor has halved it."""
+"""Factor of r after an iteration that hardly reduces the change of f, if the last factor has halved it."""
 
 QUICK, HALF = 0.2, 0.5
-"""Factors by which an iteration is to reduce the change of f: the first until r is changed, then the second.
-One tenth of r makes 8 of 15 iterations in piles; more may leave a matrix of which Newton's method fails."""
+"""Factors by which an iteration is to reduce the change of f, before and after r is first reduced. This saves
+half of the iterations in piles; if many follow, Newton's method fails."""
 
 SLOPE = 0.1
 """Slope at the end of a line search relative to that at its start."""
