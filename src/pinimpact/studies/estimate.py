@@ -1,4 +1,7 @@
-"""Parameters fitted to groups of measurements by least squares, with intervals that hold for such groups."""
+"""Least-squares fits to grouped measurements, with confidence intervals that are robust to groups.
+
+The estimators are in docs/identification.md.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,11 @@ from ..errors import InputError
 from ..scene._kernels.tolerances import RTOL
 
 STARTS = 16
-"""Points of a Halton sequence in the bounds, of which the one with the least cost is the start."""
+"""Number of points of a Halton sequence in the bounds; the one with the least cost is the start of a fit."""
 
 ROBUST_SCALE = 3.0
-"""Standard deviations beyond which residuals have less weight; normal ones keep .99 of their information."""
+"""Residual above which a loss reduces weights, in standard deviations; 99 % of the information of normally
+distributed residuals is retained."""
 
 
 def _soft_l1(z: Array) -> Array:
@@ -35,11 +39,11 @@ LOSSES: dict[str, Callable[[Array], Array]] = {
     "linear": lambda z: np.array([z, np.ones_like(z), np.zeros_like(z)]),
     "soft_l1": _soft_l1,
 }
-"""ρ, ρ′ and ρ″ of the square of a residual over its scale, as `scipy.optimize.least_squares` has them."""
+"""ρ, ρ′ and ρ″ of the squared ratio of a residual to its scale, as in `scipy.optimize.least_squares`."""
 
 
 class Identified(OptimizeResult):
-    """Fitted parameters: an `OptimizeResult` of SciPy with what follows from it. (docs/identification.md)
+    """Fitted parameters: an `OptimizeResult` of SciPy with covariance and intervals. (docs/identification.md)
 
     Attributes:
         x: (p,) the parameters.
@@ -48,12 +52,11 @@ class Identified(OptimizeResult):
         covariance: (p, p) their covariance by leaving out groups (I4); infinite where there is none.
         groups: Number of groups.
         group: (n,) number of the group of each row of residuals.
-        degrees: (p,) degrees of freedom of the intervals (I5), fewer where groups have unequal weight.
+        degrees: (p,) degrees of freedom of the intervals (I5), fewer if groups have unequal weight.
         unidentified: One sentence for each parameter that the data do not determine.
-        fun: (n m,) residuals, whitened, row by row; `jac` and `cost` are those of
-            `scipy.optimize.least_squares`.
-        scale: Residual from which on the loss gives less weight.
-        law: Restitution law of the fit; None where no law was used.
+        fun: (n m,) whitened residuals, row by row; `jac` and `cost` are as in `scipy.optimize.least_squares`.
+        scale: Residual above which the loss reduces weights.
+        law: Restitution law of the fit; None if no law was used.
     """
 
     @property
@@ -109,7 +112,7 @@ def set_coefficient(scene: Any, name: str, value: float) -> Any:
 
 
 def general_first(names: Sequence[str]) -> list[int]:
-    """Return the indices of parameters, those of one contact or joint last: they override those of all."""
+    """Return the indices of parameters, with those of single contacts or joints last, since they override."""
     return sorted(range(len(names)), key=lambda j: ":" in names[j])
 
 
@@ -127,9 +130,16 @@ def fit(
 ) -> Identified:
     """Fit parameters, and return them with their covariance by groups. (I2)–(I5)
 
-    Whitened residuals (n, m) of parameters (p,) have the jacobian (n, m, p); `trial` are fewer residuals, or
-    cheaper ones without preparing derivatives. The tolerance is that of `least_squares` for cost and
-    parameters, relative. Other arguments as in `with_covariance`.
+    Args:
+        residual: Returns whitened residuals (n, m) of parameters (p,).
+        jacobian: Returns their derivatives (n, m, p).
+        free: Bounds of the parameters by name.
+        group: (n,) index of the group of each row.
+        loss: One of `LOSSES`.
+        reason: See `with_covariance`.
+        trial: Returns fewer residuals, or cheaper ones, to choose the start.
+        tolerance: Relative tolerance of `least_squares` for cost and parameters.
+        **known: See `with_covariance`.
     """
     rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
     low, high = np.array(list(free.values())).T
@@ -161,14 +171,14 @@ def fit(
         scale = robust_scale(residual(result.x))
         if scale > 0.0:
             result = run(result.x, rho, scale)
-        else:  # more than half of the rows are zero, and no size is usual
+        else:  # more than half of the rows are zero, so there is no scale
             loss = "linear"
     slopes, residuals = jacobian(result.x), residual(result.x)
     return with_covariance(result, free, residuals, slopes, group, loss, scale, reason, **known)
 
 
 def best_start(free: Mapping[str, tuple[float, float]], residual: Callable[[Array], Array]) -> Array:
-    """Return that of `STARTS` points within bounds whose residuals have the least sum of absolute values."""
+    """Return that of `STARTS` points within the bounds with the least sum of absolute residuals."""
     low, high = np.array(list(free.values())).T
     starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
     return min(starts, key=lambda x: float(np.abs(residual(x)).sum()))
@@ -177,9 +187,9 @@ def best_start(free: Mapping[str, tuple[float, float]], residual: Callable[[Arra
 def better_along_a_parameter(
     x: Array, free: Mapping[str, tuple[float, float]], residual: Callable[[Array], Array]
 ) -> Array | None:
-    """Return the best of points that differ from x in one parameter; None if that is little better than x.
+    """Return the best of some points that differ from x in one parameter; None if it is hardly better than x.
 
-    Where a parameter has no effect, such as more friction where all impacts stick, a fit stays at its start.
+    A fit stays at its start if a parameter has no effect there, such as friction if all impacts stick.
     """
     others = np.repeat(x[None], STARTS * len(x), axis=0)
     parts = (np.arange(STARTS) + 0.5) / STARTS
@@ -191,10 +201,10 @@ def better_along_a_parameter(
 
 
 def robust_scale(residuals: Array) -> float:
-    """Return the size from which on a loss gives residuals (n, m) less weight.
+    """Return the scale above which a loss reduces the weights of residuals (n, m).
 
-    It is of the lengths of rows: components without errors, such as the tangential ones of a body that falls
-    straight down, do not make it zero.
+    It follows from the norms of rows, so that components without errors, such as the tangential ones of a
+    body that falls straight down, do not make it zero.
     """
     lengths = np.linalg.norm(residuals, axis=1)
     return ROBUST_SCALE * float(np.median(lengths) / chi.median(residuals.shape[1]))
@@ -213,10 +223,16 @@ def with_covariance(
 ) -> Identified:
     """Return a solution with its covariance by groups. (I3)–(I5)
 
-    Its parameters have the bounds `free`, whitened residuals (n, m) and their slopes (n, m, p); group (n,) is
-    the index of the group of each row, from 0, scale the residual from which on the loss gives less weight.
-    `reason` returns a clause on why a parameter is not determined, for its name and the solution; `known` are
-    further attributes of the result.
+    Args:
+        solution: The solution, with parameters x (p,).
+        free: Bounds of the parameters by name.
+        residuals: (n, m) whitened residuals.
+        slopes: (n, m, p) their derivatives.
+        group: (n,) index of the group of each row, from 0.
+        loss: One of `LOSSES`.
+        scale: Residual above which the loss reduces weights.
+        reason: Returns a clause on why a parameter is not determined, for its name and x; may be empty.
+        **known: Further attributes of the result.
     """
     low, high = np.array(list(free.values())).T
     parts = _by_group(slopes, residuals, LOSSES[loss], scale or 1.0, group)
@@ -239,7 +255,7 @@ def with_covariance(
 def _by_group(
     slopes: Array, residuals: Array, rho: Callable[[Array], Array], scale: float, group: Integers
 ) -> tuple[Array, Array]:
-    """Return the Hessians (G, p, p) and gradients (G, p) of the groups' parts of the cost. (I3)"""
+    """Return the Hessians (G, p, p) and gradients (G, p) of the cost of each group. (I3)"""
     z = (residuals / scale) ** 2
     _, first, second = rho(z)
     count, p = int(group.max()) + 1, slopes.shape[2]
@@ -250,10 +266,11 @@ def _by_group(
 
 
 def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the covariance (I4), degrees of freedom, and if none or only one group determines a parameter.
+    """Return the covariance (p, p) (I4), the degrees of freedom (p,), and which parameters lack information.
 
-    A combination of parameters, in parts of their ranges, is undetermined where the Hessian has an eigenvalue
-    within rounding of zero, and determined by one group where it is zero without that group.
+    The latter are (p,) whether no group, and whether at most one group determines a parameter. In units of
+    the ranges of parameters, a combination is undetermined if the Hessian has an eigenvalue of zero within
+    rounding, and determined by one group if that holds without the group.
     """
     count, eps = len(gradients), float(np.finfo(float).eps)
     values, vectors = np.linalg.eigh(hessians.sum(axis=0) * np.outer(widths, widths))
@@ -281,7 +298,7 @@ def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array
 def _unidentified(
     result: Identified, null: Array, none: Array, reason: Callable[[str, Array], str]
 ) -> tuple[str, ...]:
-    """Return a sentence for each parameter whose error is not below that of a uniform guess in its range."""
+    """Return a sentence for each parameter whose error is at least that of a uniform guess in its range."""
     sentences = []
     errors = result.standard_errors
     for i, name in enumerate(result.names):
@@ -303,7 +320,7 @@ def _unidentified(
 
 
 def group_numbers(group: Any, count: int) -> Integers:
-    """Return the index of the group of each row, of two at least; None: each row is a group of its own."""
+    """Return the index of the group (n,) of each row; None: each row is a group of its own."""
     if group is None:
         numbers = np.arange(count)
     else:
@@ -330,7 +347,11 @@ def checked_bounds(
 ) -> dict[str, tuple[float, float]]:
     """Return the checked bounds of free parameters, "friction" for all contacts or "friction:foot".
 
-    The widest bounds of each kind are `known`; labels and joints are those that parameters may be of.
+    Args:
+        free: The bounds by name.
+        known: Widest bounds of each kind of parameter.
+        labels: Contacts that parameters may name.
+        joints: Joints that parameters may name.
     """
     if not isinstance(free, Mapping) or not free:
         raise InputError(
@@ -359,7 +380,7 @@ def checked_bounds(
 
 
 def symmetric(matrices: Array) -> bool:
-    """Whether matrices (…, m, m) are symmetric to half of their digits; sums in another order are."""
+    """Whether matrices (…, m, m) are symmetric to half of their digits."""
     skew = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max(axis=(-1, -2))
     return bool((skew <= HALF_DIGITS * np.abs(matrices).max(axis=(-1, -2))).all())
 

@@ -16,19 +16,19 @@ from ..scene.scene import Scene
 from ..scene.switched_off import altered_model
 
 ITERATIONS = 2
-"""Of Gauss and Newton, from a start that is off by the noise of one difference: each squares the error."""
+"""Number of Gauss–Newton iterations, from a start with the noise of one difference; each squares it."""
 
 DIFFERENCE = LITTLE
-"""Step of differences by angular velocity [rad/s], whose errors are 10⁻⁶ of a slope."""
+"""Increment of finite differences by angular velocity [rad/s]; their relative error is 10⁻⁶."""
 
 _SKEW = np.array(
     [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], float
 )
-"""w @ _SKEW are the entries of the matrix [w]×."""
+"""w @ _SKEW are the entries of the cross-product matrix [w]×."""
 
 
 class Body(NamedTuple):
-    """What the flight of a body depends on."""
+    """Properties of a body that determine its flight."""
 
     lever: Array  # (3,) centre of mass, body axes
     inertia: Array  # (3, 3) about it, over mass, body axes
@@ -36,7 +36,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Body:
-        """Return the numbers of the one free body of a scene, without what it switches off."""
+        """Return the properties of the one free body of a scene, without effects that are switched off."""
         model = altered_model(scene.model, scene.without)
         inertia = model.inertias[1]
         return cls(
@@ -91,10 +91,14 @@ def torque_free(R: Array, w: Array, inertia: Array, times: Array) -> tuple[Array
 
 
 def fit_flight(times: Array, com: Array, rotations: Rotation, instant: float, body: Body) -> Flight:
-    """Return the flight that is closest to recorded poses in the sense of least squares. (I7)
+    """Fit a flight to recorded poses by least squares. (I7)
 
-    At rising times (n,), three at least, with centres of mass (n, 3) and n rotations, body to world; its
-    state is that at the instant.
+    Args:
+        times: (n,) ascending times [s], at least three.
+        com: (n, 3) centres of mass [m].
+        rotations: n rotations, body to world.
+        instant: Time of the state of the flight [s].
+        body: The body.
     """
     dt = times - instant
     line = np.column_stack([np.ones_like(dt), dt])

@@ -22,28 +22,28 @@ from .found import free_body
 from .rolling_out import Start, differences, starts_of
 
 SAMPLES = 32
-"""Frames of a motion that count, at equal distances: poses change little from one to the next."""
+"""Number of equidistant frames of a motion that are compared; neighbouring poses differ little."""
 
 FIRST, NEXT = 16, 256
-"""Simulations, at most, by which the start of a fit is chosen, and by which that of whole motions is."""
+"""Largest number of simulations that choose the start of a fit, and the start of a fit to whole motions."""
 
 STEP = LITTLE
-"""Of differences by a parameter, in parts of its range."""
+"""Increment of finite differences by a parameter, relative to its range."""
 
 CHUNKS = 32
-"""Of the motions, for an executor: the scene is sent with each and has to be prepared there."""
+"""Number of chunks of motions for an executor: the scene is sent, and prepared, with each."""
 
 TOLERANCE = 1e-4
-"""Relative, of the sum of squares of flights: one sixth of a standard error where there are 300 groups."""
+"""Relative tolerance of the cost of fits to flights: a sixth of a standard error with 300 groups."""
 
 RADII = 0.1, 3e-3
-"""First and last distance of simulations of whole motions, in parts of the ranges of the parameters."""
+"""Initial and final trust-region radius of fits to whole motions, relative to the ranges of parameters."""
 
 CURVED = 0.5
-"""Part of the sum of a motion's differences to both sides by which they may differ; all where one jumps."""
+"""Largest ratio of the difference to the sum of a motion's forward and backward differences; 1 at a jump."""
 
 JUMPS = 0.1
-"""Part of the information on a parameter that may come from motions whose differences are no slopes."""
+"""Largest part of the information on a parameter from motions that exceed `CURVED`."""
 
 
 def fit_motions(
@@ -59,7 +59,8 @@ def fit_motions(
     """Return the parameters whose simulations are closest to recorded motions of a free body.
 
     Simulations from each flight to the end of the next one depend smoothly on the parameters. Whole motions
-    jump where a later bounce turns over: their fit starts from that of flights, and takes no derivatives.
+    are discontinuous where a later bounce changes side: they are fitted without derivatives, from the fit to
+    flights.
     """
     free_body(scene, "identify")
     restart = truth_value("restart", restart)
@@ -82,7 +83,7 @@ def fit_motions(
 
 
 class _Fits(NamedTuple):
-    """What all fits to motions share; see `identify`."""
+    """Fits to motions; the arguments are those of `identify`."""
 
     scene: Scene
     bounds: dict[str, tuple[float, float]]
@@ -101,7 +102,7 @@ class _Fits(NamedTuple):
         return np.array(list(self.executor.map(one, starts, chunksize=-(-len(starts) // CHUNKS))))
 
     def to_flights(self, starts: list[Start]) -> Identified:
-        """Return a fit by least squares, with derivatives by differences."""
+        """Fit flights by least squares, with finite differences."""
         low, high = np.array(list(self.bounds.values())).T
         at = lru_cache(1)(lambda x: self.residual(starts, np.array(x)))
 
@@ -123,10 +124,10 @@ class _Fits(NamedTuple):
         )
 
     def to_whole_motions(self, starts: list[Start], near: Array) -> Identified:
-        """Return a fit by quadratic models of the cost in a region that shrinks, from parameters (p,) on."""
+        """Fit whole motions by a derivative-free trust-region method (COBYQA), from x = `near` (p,)."""
         group = _groups(starts)
         low, high = np.array(list(self.bounds.values())).T
-        at = lru_cache(None)(lambda x: self.residual(starts, np.array(x)))  # few points, two of them twice
+        at = lru_cache(None)(lambda x: self.residual(starts, np.array(x)))  # few points, some of them twice
 
         def place(z: Array) -> Array:
             return np.clip(low + z * (high - low), low, high)
@@ -161,7 +162,7 @@ class _Fits(NamedTuple):
 
 
 def _some(starts: list[Start], most: int) -> list[Start]:
-    """Return at most so many of them."""
+    """Return at most `most` of the starts, evenly spaced."""
     return starts[:: -(-len(starts) // most)]
 
 
@@ -170,10 +171,10 @@ def _groups(starts: list[Start]) -> Integers:
 
 
 def _without_jumps(result: Identified, ahead: Array, behind: Array) -> None:
-    """Take away the intervals of parameters that motions determine whose residuals jump. (I12)
+    """Remove the intervals of parameters that are determined by motions with discontinuous residuals. (I12)
 
-    `ahead` and `behind` (n, m, p) are differences of the residuals of n motions by a step up of each
-    parameter, and from a step below; covariance and sentences of the result are changed.
+    `ahead` and `behind` (n, m, p) are forward and backward differences of the residuals of n motions by each
+    parameter. The covariance and sentences of the result are changed in place.
     """
     slope = np.linalg.norm(ahead + behind, axis=1)
     jumps = np.linalg.norm(ahead - behind, axis=1) > CURVED * slope
@@ -191,8 +192,8 @@ def _without_jumps(result: Identified, ahead: Array, behind: Array) -> None:
 
 
 def _residual(scene: Scene, root: Array, start: Start) -> Array:
-    """Return the differences (6 SAMPLES,) of a motion, in metres; their squares add up to its mean. (I12)"""
+    """Return the residuals (6 SAMPLES,) of a motion [m]; their sum of squares is a mean over frames. (I12)"""
     frames = np.linspace(0, len(start.t) - 1, SAMPLES).round().astype(np.int64)
-    off, turn = differences(scene, start, frames)
+    position, turn = differences(scene, start, frames)
     turn = start.rotation[frames].inv().apply(turn) @ root
-    return np.hstack([off, turn]).ravel() / np.sqrt(SAMPLES)
+    return np.hstack([position, turn]).ravel() / np.sqrt(SAMPLES)

@@ -15,17 +15,17 @@ ONE_STEP = ("moreau", "convex")
 relaxation of friction, in which slip has a normal velocity μ|v_t|."""
 
 ANGLES = 64
-"""Directions of slip between which a change of sign is sought; the function has six roots at most."""
+"""Number of intervals of the direction of slip in which roots are bracketed; there are at most six."""
 
 HALVINGS = 50
-"""Of such an interval, to rounding."""
+"""Number of bisections of such an interval, down to rounding."""
 
 ROUNDING = 32.0 * np.finfo(float).eps
-"""Of an eigenvalue of W over the largest, within which it is zero."""
+"""Ratio to the largest eigenvalue of W below which an eigenvalue is taken as zero."""
 
 
 class OneStepSlopes(NamedTuple):
-    """Derivatives of the impulses, as `ImpactSlopes` of a batch has them."""
+    """Derivatives of the impulses, as in `ImpactSlopes`."""
 
     dP_ddelassus: Array
     dP_dfriction: Array
@@ -33,7 +33,7 @@ class OneStepSlopes(NamedTuple):
 
 
 class OneStepSolution(NamedTuple):
-    """What `BatchSolution` has of N impacts; impulses without solution are NaN."""
+    """Solution of N impacts, with fields as in `BatchSolution`; impulses that do not exist are NaN."""
 
     velocity: Array
     impulse: Array
@@ -43,7 +43,7 @@ class OneStepSolution(NamedTuple):
 
 
 class _Slip(NamedTuple):
-    """Impulses p d(θ) on the cone of friction, d = (−μσ, 1), whose slip û is tested with a = d or n."""
+    """Impulses p d(θ) on the friction cone, d = (−μσ, 1), with a·û = 0 for slip û; a is d (convex) or n."""
 
     W: Array
     c: Array
@@ -59,7 +59,7 @@ class _Slip(NamedTuple):
         return sigma, across, d, d if self.convex else np.broadcast_to(n, d.shape)
 
     def at(self, angle: Array) -> tuple[Array, Array, Array]:
-        """Return p and û at angles (n, k), from a·û = 0, and a·Wd (σ⊥·û), which has no poles."""
+        """Return p and û at angles (n, k), from a·û = 0, and the residual a·Wd (σ⊥·û), which has no poles."""
         _, across, d, a = self.directions(angle)
         moved = np.einsum("nij,nkj->nki", self.W, d)
         gain, pull = np.einsum("nki,nki->nk", a, moved), -np.einsum("nki,ni->nk", a, self.c)
@@ -69,7 +69,7 @@ class _Slip(NamedTuple):
             return p, self.c[:, None] + p[..., None] * moved, gain * across_c + pull * across_moved
 
     def solve(self) -> tuple[Array, Array]:
-        """Return the angle and p ≥ 0 (n,) of slip along σ, that of least p; NaN where there is none."""
+        """Return the angle and p (n,) of the root with slip along σ and the least p ≥ 0; NaN: no root."""
         edges = np.linspace(0.0, 2.0 * np.pi, ANGLES + 1)
         _, _, turns = self.at(np.broadcast_to(edges, (len(self.c), ANGLES + 1)))
         rows, columns = np.nonzero(turns[:, :-1] * turns[:, 1:] <= 0.0)
@@ -101,7 +101,7 @@ def solve_one_step(W: Array, velocity: Array, mu: Array, e: Array, model: str) -
     values, vectors = np.linalg.eigh(W)
     regular = values > ROUNDING * values[:, 2:]
     parts = np.einsum("nij,ni->nj", vectors, c)
-    missing = np.abs(np.where(regular, 0.0, parts)).max(axis=1)  # what no impulse changes
+    missing = np.abs(np.where(regular, 0.0, parts)).max(axis=1)  # velocity that no impulse changes
     reciprocals = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
     inverse = np.einsum("nij,nj,nkj->nik", vectors, reciprocals, vectors)
     impulse[hits] = -np.einsum("nij,nj->ni", inverse, c)[hits]
@@ -129,9 +129,9 @@ def solve_one_step(W: Array, velocity: Array, mu: Array, e: Array, model: str) -
 
 
 def _slipping(slip: _Slip, angle: Array, p: Array, speed: Array) -> tuple[Array, Array, Array, Array]:
-    """Return impulses that slip, and their derivatives by W, μ and e.
+    """Return the impulses (n, 3) of slip, and their derivatives by W, μ and e.
 
-    With F = (a·û, σ⊥·û) = 0 for z = (p, θ): δz = −(∂F/∂z)⁻¹ δF.
+    From F(z) = (a·û, σ⊥·û) = 0 with z = (p, θ) follows δz = −(∂F/∂z)⁻¹ δF.
     """
     W, mu = slip.W, slip.mu
     sigma, across, d, a = (one[:, 0] for one in slip.directions(angle[:, None]))

@@ -19,13 +19,13 @@ from .flights import Body, Flight, fit_flight
 from .found import FoundImpacts, free_body
 
 FRAMES = 5
-"""Of the shortest flight: a state has six numbers of rotation, so that three frames leave two residuals."""
+"""Number of frames of the shortest flight; two would determine its state without any residual."""
 
 CLEARANCE = 0.01
-"""Gap [m] beyond which recorded bodies are clear of a surface, of several times their errors of shape."""
+"""Gap [m] above which recorded bodies are clear of a surface: several times the errors of their shape."""
 
 LIMIT = 5.0
-"""Standard deviations up to which a frame belongs to a flight: one of a million normal frames is beyond."""
+"""Largest residual of a frame of a flight, in standard deviations: once in a million for normal noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Motion:
             object.__setattr__(self, name, value)
 
     def label(self, number: int) -> Hashable:
-        """Return the label of the group, of the motion of a number where there is none."""
+        """Return the label of the group, or a label with the number of the motion if there is none."""
         return f"motion {number}" if self.group is None else self.group
 
     def __repr__(self) -> str:
@@ -180,10 +180,10 @@ def gaps(scene: Scene, q: Array) -> Array:
 
 
 def _noise(poses: list[Poses], body: Body, clearance: float) -> Array:
-    """Return standard deviations of position and rotation about free flight, clear of all surfaces.
+    """Return standard deviations of position [m] and rotation [rad] about free flight, common to all motions.
 
-    They include what free flight leaves out, such as drag and the calibration of cameras. All motions share
-    them; each has the frames up to its first approach.
+    They are estimated from the frames before the first approach to a surface, and include effects that free
+    flight neglects, such as drag and errors of the calibration of cameras.
     """
     squares = []
     for one in poses:
@@ -225,7 +225,7 @@ def _flights(poses: Poses, sigma: Array, body: Body) -> list[slice]:
 
 
 def _is_parabola(poses: Poses, frames: slice, sigma: float, body: Body) -> bool:
-    """Return whether the centre of mass falls freely, the quick part of a fit."""
+    """Return whether the centre of mass falls freely: a quick test before a fit."""
     dt = poses.t[frames] - poses.t[frames.start]
     path = poses.com[frames] - np.outer(0.5 * dt**2, body.gravity)
     line = np.column_stack([np.ones_like(dt), dt])
@@ -237,17 +237,17 @@ def _worst(residuals: Array, sigma: Array) -> float:
 
 
 def _first_beyond(flight: Flight, poses: Poses, stop: int, sigma: Array, body: Body) -> int:
-    """Return the first frame from `stop` on that a flight does not predict, or the last to look at.
+    """Return the first frame from `stop` on that a flight does not predict, or one past the last examined.
 
-    The prediction is as uncertain as a line through frames of equal distance; it is used for as many frames
-    as the flight has.
+    As many frames are predicted as the flight has; the uncertainty is that of a line through equidistant
+    frames.
     """
     frames = np.arange(stop, min(stop + flight.count, len(poses.t)))
     com, rotation, _, _ = flight.at(poses.t[frames], body)
-    off = np.hstack([poses.com[frames] - com, (poses.rotation[frames] * rotation.inv()).as_rotvec()])
+    residuals = np.hstack([poses.com[frames] - com, (poses.rotation[frames] * rotation.inv()).as_rotvec()])
     n, ahead = flight.count, (frames - stop) + 0.5 * (flight.count + 1)
     spread = np.sqrt(1.0 + 1.0 / n + 12.0 * ahead**2 / (n * (n * n - 1.0)))
-    beyond = (np.abs(off) > LIMIT * spread[:, None] * np.repeat(sigma, 3)).any(axis=1)
+    beyond = (np.abs(residuals) > LIMIT * spread[:, None] * np.repeat(sigma, 3)).any(axis=1)
     return int(frames[np.argmax(beyond)]) if beyond.any() else int(frames[-1]) + 1
 
 
@@ -294,8 +294,8 @@ def _impact(
 
 
 def _agreement(before: Flight, after: Flight, sigma: Array) -> tuple[float, float]:
-    """Return how far two flights miss each other, and the instant at which they do so least. (I8)"""
-    # of the end of a line, at either side
+    """Return the least distance of two flights, in standard deviations, and its time [s]. (I8)"""
+    # standard deviation at the ends of fitted lines
     spread = np.repeat(sigma, 3) * np.sqrt(4.0 / before.count + 4.0 / after.count)
     gap = np.concatenate([after.com - before.com, (after.rotation * before.rotation.inv()).as_rotvec()])
     turn = after.rotation.apply(after.spin) - before.rotation.apply(before.spin)

@@ -75,14 +75,14 @@ def rollouts(scene: Scene, held_out: Sequence[Motion], *, restart: bool = False,
     free_body(scene, "rollouts")
     rows: list[tuple[Any, ...]] = []
     for start in starts_of(scene, held_out, truth_value("restart", restart), "held_out"):
-        off, turn = differences(scene, start, **options)
-        errors = np.linalg.norm(off, axis=1), np.linalg.norm(turn, axis=1)
+        position, turn = differences(scene, start, **options)
+        errors = np.linalg.norm(position, axis=1), np.linalg.norm(turn, axis=1)
         rows.append((start.t, *errors, start.label, start.place))
     return RollOuts(*(tuple(column) for column in zip(*rows, strict=True)))
 
 
 class Start(NamedTuple):
-    """The state of a recorded flight at its first frame, and what follows."""
+    """The state of a recorded flight at its first frame, and the recorded poses from there on."""
 
     q: Array  # state at the first frame, with v
     v: Array
@@ -117,17 +117,17 @@ def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[St
 def differences(
     scene: Scene, start: Start, frames: Integers | slice = slice(None), **options: Any
 ) -> tuple[Array, Array]:
-    """Return simulated less recorded centres of mass and rotations (n, 3), in the world, at some frames."""
+    """Return simulated minus recorded centres of mass [m] and rotations [rad] (n, 3), in world axes."""
     t, lever = start.t[frames], Body.of(scene).lever
     run = simulate(scene, start.q, start.v, float(start.t[-1]), **options)
     q = np.array([run.at(min(time, run.t[-1]))[0] for time in t.tolist()])
     rotation = Rotation.from_quat(q[:, 3:])
-    off = q[:, :3] + rotation.apply(lever) - start.com[frames]
-    return off, (rotation * start.rotation[frames].inv()).as_rotvec()
+    position = q[:, :3] + rotation.apply(lever) - start.com[frames]
+    return position, (rotation * start.rotation[frames].inv()).as_rotvec()
 
 
 def _lift(scene: Scene, q: Array) -> Array:
-    """Return the displacement (3,) that takes a body out of the surfaces that its recorded pose is in."""
+    """Return the displacement (3,) [m] that moves a body out of the surfaces that it penetrates."""
     total, data = np.zeros(3), scene.model.createData()
     for contact in scene.contacts:
         place = contact_geometry(scene.model, data, q, contact)
