@@ -100,7 +100,7 @@ class _Balance:
         return arm, self.dv + np.cross(self.dw, x[:3])
 
     def residual(self, x: Array, fixed: bool) -> Array:
-        """Return (I9), (n, 3), for com, inertia and radius (10,)."""
+        """Return the residuals (n, 3) of (I9) for com, inertia and radius (10,)."""
         arm, dv = self._parts(x, fixed)
         inertia = np.empty((3, 3))
         for (i, j), value in zip(_ENTRIES, x[3:9], strict=True):

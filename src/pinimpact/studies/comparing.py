@@ -17,7 +17,7 @@ from .estimate import Identified
 from .rolling_out import RollOuts
 
 RESAMPLES = 2000
-"""Of a bootstrap; the ends of a 95 % interval then have errors of a twentieth of its length."""
+"""Number of resamples of a bootstrap; the ends of a 95 % interval then have errors of 5 % of its length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def compare(
 
 
 def _by_group(name: str, model: Any) -> tuple[Array, Sequence[Any]]:
-    """Return the mean errors (groups, k), and of which data they are."""
+    """Return the mean errors (groups, k), and what identifies the data."""
     if isinstance(model, RollOuts):
         errors, labels = model.mean(), model.group
         rows: Sequence[Any] = (labels, model.start)

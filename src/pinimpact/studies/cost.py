@@ -63,7 +63,7 @@ def problem_classes() -> dict[str, ImpactProblem]:
     planar = np.array([[1.5, 0.0, 0.6], [0.0, 0.0, 0.0], [0.6, 0.0, 0.9]])
     # fast enough for slip to end in restitution only: the compression impulse then depends on the path
     start = (0.9, 0.9 * math.sqrt(3.0), -2.0)
-    # −t₁ is an invariant direction here, unstable, and slip that came along it has to turn back
+    # −t₁ is an unstable invariant direction here, so slip that starts near it turns back
     symmetric = np.array([[1.2, 0.0, 0.5], [0.0, 0.4, 0.0], [0.5, 0.0, 0.9]])
     return {
         "smooth slip": ImpactProblem(skewed, (1.0, 0.7, -1.0), 0.3, 0.5),
@@ -260,7 +260,7 @@ def relative_error(solution: Solution, reference: Solution, problem: ImpactProbl
 
 
 def best_time(call: Callable[[int], Any], repeats: int, time_cap: float) -> float:
-    """Return the shortest time of ``call(count)`` per count [s]."""
+    """Return the shortest time of ``call(count)``, divided by the count [s]."""
     begun = time.perf_counter()
     call(1)
     once = time.perf_counter() - begun

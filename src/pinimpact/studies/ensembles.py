@@ -35,25 +35,25 @@ from .sampling import Sampling
 from .study_folder import Columns, StudyFolder, joined
 
 CHUNK_SECONDS = 2.0
-"""Aim for the time of a chunk: long against what a task costs, short against what a kill loses."""
+"""Target processor time of a chunk: long relative to the overhead of a task, short if it is lost."""
 
 LARGEST_CHUNK = 100_000
 
 GROWTH = 8
-"""Factor by which a chunk may be larger than the last one that was timed."""
+"""Largest ratio of the size of a chunk to that of the last one that was timed."""
 
 IN_FLIGHT = 4
-"""Chunks per processor that are submitted at first, which bounds the memory of their results."""
+"""Number of chunks per processor that are submitted at first; it bounds the memory of their results."""
 
 REMAKES = 2
-"""How often a pool of processes that broke is replaced while no chunk is finished."""
+"""Number of times that a broken pool of processes is replaced without a finished chunk in between."""
 
 Reduce = Callable[[Trajectory], Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What a worker needs to run any samples of a study."""
+    """Runs samples of a study in a worker."""
 
     sampling: Sampling
     duration: float | None
@@ -62,7 +62,7 @@ class _Task:
     keep: Path | None
 
     def __call__(self, first: int, count: int) -> tuple[Columns, float]:
-        """Return the rows of samples, in order, and the processor time that they took [s]."""
+        """Return the columns of samples, in order, and the processor time [s]."""
         began = time.thread_time()
         drawn = self.sampling.draw(first, count)
         if self.duration is None:
@@ -79,11 +79,11 @@ class _Task:
         if scene.period is not None:  # such a control may have a state
             scene = replace(scene, control=deepcopy(scene.control))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # one of each sample would be thousands
+            warnings.simplefilter("ignore")  # else thousands of samples repeat them
             return simulate(scene, q, v, self.duration or 0.0, **self.options)
 
     def _row(self, index: int, numbers: Array) -> dict[str, Any]:
-        """Return the row of a sample; one that raises an error has its name and message."""
+        """Return the row of a sample; an error is reported in its status and message."""
         try:
             trajectory = self.trajectory(numbers)
             if trajectory.termination == INTERRUPTED:
@@ -96,7 +96,7 @@ class _Task:
         return {"status": "OK", "message": "", **row}
 
     def _impacts(self, drawn: Array) -> Columns:
-        """Return the rows of single impacts, which are solved in one call."""
+        """Return the columns of single impacts, which are solved in one call."""
         scene = self.sampling.scene
         q, v = self.sampling.states(drawn)
         contact = scene.contacts[0]
@@ -246,7 +246,7 @@ def _check(
     out: Any,
     options: Mapping[str, Any],
 ) -> None:
-    """Refuse arguments of `ensemble`."""
+    """Check the arguments of `ensemble`."""
     if duration is None:
         _check_impact(sampling, reduce, keep, options)
     else:
@@ -270,7 +270,7 @@ def _check(
 
 
 def _check_impact(sampling: Sampling, reduce: Any, keep: Any, options: Mapping[str, Any]) -> None:
-    """Refuse what a single impact does not use."""
+    """Check that arguments apply to single impacts."""
     scene = sampling.scene
     if len(scene.contacts) != 1:
         raise InputError(
@@ -288,9 +288,9 @@ def _check_impact(sampling: Sampling, reduce: Any, keep: Any, options: Mapping[s
 
 
 class _Pieces:
-    """Divides the samples that are missing into chunks of about `CHUNK_SECONDS`, by the time of the last.
+    """Divides missing samples into chunks of about `CHUNK_SECONDS`, from the time of the last chunk.
 
-    `known` has the number of samples of each chunk that is finished, by its first sample.
+    `known` maps the first sample of each finished chunk to its number of samples.
     """
 
     def __init__(self, known: Mapping[int, int], samples: int) -> None:
@@ -303,7 +303,7 @@ class _Pieces:
     def take(self, parts: int = 1) -> tuple[int, int] | None:
         """Return the first sample and the number of samples of the next chunk, or None.
 
-        It is at most one part of what is left, so that many workers finish together.
+        It has at most the fraction 1/`parts` of the remaining samples, so that many workers finish together.
         """
         if not self.gaps:
             return None
@@ -315,18 +315,18 @@ class _Pieces:
         return first, size
 
     def give_back(self, chunks: list[tuple[int, int]]) -> None:
-        """Take back chunks that were not finished; they are divided again, into small chunks at first."""
+        """Return unfinished chunks, which are divided again, into small chunks at first."""
         self.gaps = sorted([*self.gaps, *chunks], reverse=True)
         self.size, self.lost = 1, chunks
 
     def timed(self, count: int, seconds: float) -> None:
-        """Take note of the processor time of a chunk."""
+        """Set the size of the next chunks from the processor time of one [s]."""
         wanted = LARGEST_CHUNK if seconds <= 0.0 else int(count * min(CHUNK_SECONDS / seconds, GROWTH))
         self.size = min(max(wanted, 1), LARGEST_CHUNK)
 
 
 def _finished(task: _Task, pieces: _Pieces, executor: Executor | int | None) -> Iterator[tuple[int, Columns]]:
-    """Yield first indices and columns of chunks, as they are finished."""
+    """Yield the first sample and the columns of each chunk as it finishes."""
     if executor is None:
         while (piece := pieces.take()) is not None:
             columns, seconds = task(*piece)
@@ -367,9 +367,9 @@ def _check_pickles(task: _Task) -> None:
 def _by_executor(
     task: _Task, pieces: _Pieces, executor: Executor, workers: int
 ) -> Iterator[tuple[int, Columns]]:
-    """Yield first indices and columns of chunks as they finish; few are in flight at a time.
+    """Yield the first sample and the columns of each chunk as it finishes, with a bounded number in flight.
 
-    There are more workers than expected if a chunk finishes without having waited; then more are submitted.
+    A chunk that has not waited indicates more workers than expected; the bound is then increased.
     """
     flying: dict[Future[tuple[Columns, float]], tuple[tuple[int, int], float]] = {}
     most = IN_FLIGHT * workers
@@ -393,9 +393,9 @@ def _by_executor(
 
 
 def _by_processes(task: _Task, pieces: _Pieces, workers: int) -> Iterator[tuple[int, Columns]]:
-    """Yield chunks computed by processes; where one dies the pool is replaced.
+    """Yield chunks computed by processes; if one dies, the pool is replaced.
 
-    After `REMAKES` times without a finished chunk, an error names the samples.
+    After `REMAKES` replacements without a finished chunk, an error reports the samples.
     """
     died = 0
     while True:
@@ -413,7 +413,7 @@ def _by_processes(task: _Task, pieces: _Pieces, workers: int) -> Iterator[tuple[
 
 
 def _begin_worker() -> None:
-    """Let a worker process end with its parent, even one that is killed, and leave Ctrl-C to it."""
+    """Make a worker process exit when its parent does, even if that is killed, and ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -426,7 +426,7 @@ def _begin_worker() -> None:
 
 
 def _columns(rows: list[dict[str, Any]]) -> Columns:
-    """Return rows as arrays by name; numbers that a row lacks are NaN, texts empty."""
+    """Return rows as arrays by name; missing numbers are NaN, missing texts empty."""
     names = dict.fromkeys(name for row in rows for name in row)
     found: Columns = {}
     for name in names:

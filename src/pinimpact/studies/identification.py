@@ -39,16 +39,16 @@ class _Rows(NamedTuple):
 
     delassus: Array  # (N, 3, 3) W
     velocity: Array  # (N, 3) before the impact
-    scale: Array  # (N,) sizes of the terms of the velocities
+    scale: Array  # (N,) `ImpactProblem.velocity_scale`
     map: Array  # (N, m, 3)
     target: Array  # (N, m)
     contact: NDArray[Any]  # (N,) names, empty for arrays in contact space
     coefficients: Array  # (2, N) μ and e where they are not free
     law: str
-    stiff: StiffJoints | None = None  # joints whose stiffening is fitted, of which W and the map then depend
+    stiff: StiffJoints | None = None  # joints with fitted stiffening, on which W and the map then depend
 
     def at(self, x: Array) -> tuple[_Rows, Array, Array]:
-        """Return these for stiffenings x (p,), and slopes (p, …) of W and of the map."""
+        """Return the rows for stiffenings x (p,), and the derivatives (p, …) of W and of the map."""
         if self.stiff is None:
             return self, np.zeros((0, *self.delassus.shape)), np.zeros((0, *self.map.shape))
         delassus, to_residuals, *slopes = self.stiff.matrices(x)
@@ -138,7 +138,7 @@ def identify(
 def _fitted(
     rows: _Rows, bounds: dict[str, tuple[float, float]], group: Integers, loss: str
 ) -> estimate.Identified:
-    """Return the fit of rows in contact space."""
+    """Return the fit to impacts in contact space."""
     names = list(bounds)
     stiffened = [j for j, name in enumerate(names) if name in _stiffened(bounds)]
     kinds = {
@@ -177,7 +177,7 @@ def _fitted(
         for j, kind in kinds.items():
             by[j] = (slopes.dP_dfriction, slopes.dP_drestitution)[kind] * (owner[kind] == j)[:, None]
         by[stiffened] = np.einsum("nkij,pnij->pnk", slopes.dP_ddelassus, W_slopes)
-        # a row on a boundary has no derivative there: it does not count in this step
+        # impacts without a derivative (at a boundary) are ignored in this step
         out = np.einsum("nij,pnj->nip", now.map, np.nan_to_num(by))
         out[:, :, stiffened] += np.einsum("pnij,nj->nip", map_slopes, batch.impulse)
         return out
@@ -208,7 +208,7 @@ def _checked(
     scene: Scene | None,
     joints: Iterable[str] = (),
 ) -> dict[str, tuple[float, float]]:
-    """Return the bounds of free parameters; none may be of an effect that the scene switches off."""
+    """Return the checked bounds of free parameters, whose effects the scene must not switch off."""
     labels = [] if scene is None else [one.label for one in scene.contacts]
     bounds = estimate.checked_bounds(FREE if free is None else free, known, labels, joints)
     for name in bounds:
@@ -229,7 +229,7 @@ def _of_motions(
     restart: bool,
     others: Mapping[str, Any],
 ) -> estimate.Identified:
-    """Return the fit to whole motions, or refuse what only impacts have."""
+    """Return the fit to motions; raise an error for arguments that apply to impacts only."""
     for name, value in others.items():
         if value is not None:
             raise InputError(
@@ -250,14 +250,14 @@ def _stiffened(bounds: Mapping[str, Any]) -> list[str]:
 
 
 def _no_setting(scene: Scene, name: str, value: float) -> Scene:
-    """Refuse a stiffening for a scene: it is one of single impacts."""
+    """Raise an error: scenes have no stiffening, only single impacts."""
     _, _, joint = name.partition(":")
     option = f"{{{joint!r}: {value:.6g}}}" if joint else f"{value:.6g}"
     raise InputError(f"scene: a scene has no {name}; use impact(…, stiffening={option})", value=name)
 
 
 def _check_solved(batch: _Batch) -> None:
-    """Refuse rows that have no solution."""
+    """Check that all impacts have a solution."""
     failed = np.flatnonzero(~np.isfinite(batch.velocity).all(axis=1))
     if len(failed):
         raise InputError(

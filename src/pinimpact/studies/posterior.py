@@ -1,4 +1,4 @@
-"""Normal distributions of what was fitted or measured, as `ensemble` draws from them."""
+"""Normal distributions of fitted or measured parameters, from which `ensemble` can draw."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..scene.scene import Scene
 from .estimate import Identified, symmetric
 
 DRAWS = 10_000
-"""Draws outside the bounds of parameters after which a distribution has none inside."""
+"""Number of draws outside the bounds after which drawing from a distribution fails."""
 
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal distribution, in the form of those of `scipy.stats`."""
+    """A normal distribution with the interface of those of `scipy.stats`."""
 
     mean: Array  # (n,) its mean
     root: Array  # (n, n) L with L Lᵀ its covariance

@@ -1,4 +1,4 @@
-"""Predictions of where a motion ends, from what was identified and how sure it is."""
+"""Predictions of the end of a motion from identified parameters and their uncertainty."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ AXES = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
-    """What `predict` returns.
+    """The result of `predict`.
 
     Attributes:
-        ensemble: All samples. Those that raised an error are not counted below.
+        ensemble: All samples. Those that raised an error are excluded from the statistics.
         base: Name of the free joint whose pose is predicted.
     """
 
@@ -48,7 +48,7 @@ class Prediction:
     base: str
 
     def _poses(self) -> tuple[Array, Rotation]:
-        """Return the positions and rotations at the end of all samples that have one."""
+        """Return the final positions and rotations of all samples without an error."""
         columns = self.ensemble.columns
         ended = columns["status"] == "OK"
         if not ended.any():
@@ -58,25 +58,25 @@ class Prediction:
         return values[:, :3], Rotation.from_quat(values[:, 3:])
 
     def position(self, level: float = 0.9) -> tuple[Array, float]:
-        """Return the median (3,) of the end positions and the radius [m] that holds a part of them."""
+        """Return the median (3,) of the final positions, and the radius [m] that contains a part of them."""
         points, _ = self._poses()
         middle = np.median(points, axis=0)
         away = np.linalg.norm(points - middle, axis=1)
         return middle, float(np.quantile(away, coefficient("level", level)))
 
     def rotation(self, level: float = 0.9) -> tuple[Rotation, float]:
-        """Return the mean of the end orientations and the angle [rad] from it that holds a part of them."""
+        """Return the mean final orientation, and the angle [rad] from it that contains a part of all."""
         _, turns = self._poses()
         middle = turns.mean()
         away = (middle.inv() * turns).magnitude()
         return middle, float(np.quantile(away, coefficient("level", level)))
 
     def faces(self, faces: Mapping[str, ArrayLike] = AXES, confidence: float = 0.95) -> dict[str, Estimate]:
-        """Return how often each face of the body is on top at the end, with Wilson's intervals.
+        """Return the frequency with which each face of the body ends on top, with Wilson's intervals.
 
         Args:
             faces: Outward normals of the faces, in the body's axes, by name; the axes of the body by default.
-            confidence: That of the intervals.
+            confidence: Confidence of the intervals.
         """
         names = list(faces)
         normals = np.array([finite_array(f"faces[{name!r}]", faces[name], (3,)) for name in names])
@@ -106,7 +106,7 @@ class Prediction:
         return cloud_replay(robot, run(middle), [run(i) for i in others], path)
 
     def _nearest(self) -> int:
-        """Return the sample whose end pose is nearest to the median, in parts of the 50 % regions."""
+        """Return the sample whose final pose is nearest to the median, relative to the 50 % regions."""
         (place, radius), (turn, angle) = self.position(0.5), self.rotation(0.5)
         points, turns = self._poses()
         away = np.linalg.norm(points - place, axis=1) / (radius or 1.0)

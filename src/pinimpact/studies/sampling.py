@@ -1,4 +1,4 @@
-"""What varies in an ensemble, and how its samples are drawn."""
+"""The varying parameters of an ensemble, and the drawing of its samples."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ DESIGNS = ("random", "sobol", "halton", "saltelli")
 
 
 class Sampling:
-    """The parameters of an ensemble and their distributions; arguments as of `ensemble`.
+    """The parameters of an ensemble and their distributions; arguments as in `ensemble`.
 
-    `names` (d,) are those of the numbers that vary; the number of `samples` of the design "saltelli" is
-    rounded up to a multiple of d + 2.
+    Attributes:
+        names: (d,) names of the varying numbers.
+        samples: Number of samples; for "saltelli" it is rounded up to a multiple of d + 2.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class Sampling:
             self.samples = block * self.base
 
     def _expanded(self, key: Any) -> tuple[str, ...]:
-        """Return the names of the numbers that a key stands for."""
+        """Return the names of the numbers of a key of `over`."""
         names: list[str] = []
         for part in key if isinstance(key, tuple) else (key,):
             kind, _, of = str(part).partition(":")
@@ -91,7 +92,7 @@ class Sampling:
         return tuple(names)
 
     def _checked(self, key: Any, distribution: Any, length: int) -> Any:
-        """Return a distribution that gives numbers of the length of its key, or raise `InputError`."""
+        """Return a distribution, checked for the number of values of its key, or raise `InputError`."""
         needs = "rvs" if self.design == "random" else "ppf"
 
         def refused(what: str) -> InputError:
@@ -121,7 +122,7 @@ class Sampling:
         return distribution
 
     def draw(self, first: int, count: int) -> Array:
-        """Return the numbers (count, d) of samples, which depend on the seed and their indices only."""
+        """Return the numbers (count, d) of samples, which depend only on the seed and on their indices."""
         if self.design == "random":
             rows = []
             for i in range(first, first + count):

@@ -26,7 +26,7 @@ _NAMES = {"sliding_friction": ("sliding_friction",), "gravity": ("gravity:t1", "
 
 
 class _Slide(NamedTuple):
-    """A body slides on a face; the squares of its path are |rows x − target|² and a constant."""
+    """A slide of a body on a face; the cost of its path is |rows x − target|² plus a constant."""
 
     rows: Array  # (4, 4) for x = g_t, μ g_n and μ
     target: Array  # (4,)

@@ -16,11 +16,11 @@ from .estimate import general_first
 
 
 class StiffJoints(NamedTuple):
-    """The matrices of N impacts, and which parameter the stiffening of a joint is."""
+    """The matrices of N impacts, and the parameter of each joint's stiffening."""
 
     mass: Array  # (N, nv, nv) M
     jacobian: Array  # (N, 3, nv) J
-    root: Array  # (N, m, nv) by which residuals of velocities are whitened
+    root: Array  # (N, m, nv) whitens residuals of velocities
     owner: Integers  # (nv,) index of the parameter of each velocity, −1 where it is free or locked
     mobility: Array  # (nv,) of the velocities without parameter: 1 free, 0 locked
 

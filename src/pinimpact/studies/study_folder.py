@@ -31,8 +31,8 @@ STUDY = "study.json"
 
 
 def digest(sampling: Sampling, settings: Mapping[str, Any]) -> str:
-    """Return a digest of what the rows of a study depend on: scene, start, distributions, seed, settings."""
-    drawn = sampling.draw(0, min(sampling.samples, 16))  # the first samples stand for the distributions
+    """Return a digest of all that determines a study's rows: scene, start, distributions, seed, settings."""
+    drawn = sampling.draw(0, min(sampling.samples, 16))  # the first samples represent the distributions
     about = [
         sampling.names,
         sampling.samples,
@@ -47,9 +47,9 @@ def digest(sampling: Sampling, settings: Mapping[str, Any]) -> str:
 
 
 def _content(value: Any, seen: dict[int, Any]) -> Iterator[str]:
-    """Yield the content of a value as texts that are the same in each process.
+    """Yield the content of a value as texts that are equal in all processes.
 
-    Functions count by their code, defaults and closures, so that they need not be picklable.
+    Functions are represented by their code, defaults and closures, and need not be picklable.
     """
     kind = type(value)
     yield kind.__qualname__
@@ -70,7 +70,7 @@ def _content(value: Any, seen: dict[int, Any]) -> Iterator[str]:
 
 
 def _parts(value: Any) -> Iterable[Any]:
-    """Return what a value consists of."""
+    """Return the parts of a value."""
     if isinstance(value, Mapping):
         return sorted(value.items(), key=lambda item: repr(item[0]))
     if isinstance(value, (set, frozenset)):
@@ -99,10 +99,12 @@ def _parts(value: Any) -> Iterable[Any]:
 
 
 class StudyFolder:
-    """The files of an ensemble; chunks are written aside and renamed, so that each is whole or missing.
+    """The files of an ensemble. Chunks are written to temporary files, then renamed: none is incomplete.
 
-    The folder is created if necessary; `settings` are what its rows depend on beside the sampling. Raises
-    `InputError` for a folder with another study, or with this one unless `resume`; without pyarrow.
+    The folder is created if necessary; `settings` determine the rows in addition to the sampling.
+
+    Raises:
+        InputError: A folder with another study, or with this one unless `resume`; pyarrow is not installed.
     """
 
     def __init__(self, path: Any, sampling: Sampling, settings: Mapping[str, Any], resume: bool) -> None:
@@ -161,7 +163,7 @@ class StudyFolder:
             )
 
     def _in_use(self, why: str) -> InputError:
-        """Return the error for a folder that cannot have this study."""
+        """Return the error for a folder that cannot be used."""
         return InputError(f"out: {why} give another folder", value=str(self.path))
 
     def file(self, first: int) -> Path:
@@ -169,7 +171,7 @@ class StudyFolder:
         return self.path / f"samples-{first:09d}.parquet"
 
     def read(self) -> dict[int, Columns]:
-        """Return the columns of the chunks that are there, by their first sample; they must be whole."""
+        """Return the columns of the existing chunks, by their first sample."""
         found: dict[int, Columns] = {}
         end = 0
         for file in sorted(self.path.glob("samples-*.parquet")):
