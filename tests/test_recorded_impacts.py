@@ -145,6 +145,31 @@ def test_without_impacts_nothing_is_found() -> None:
     assert (len(found), found.dropped, found.q.shape) == (0, (), (0, 7))
 
 
+def test_recordings_of_a_ball_that_does_not_turn_have_impacts() -> None:
+    """A ball falls h = 0.3 m and rebounds with e times its speed; its rotations have no noise."""
+    model, rng, g, e = pin.Model(), np.random.default_rng(0), 9.81, 0.7
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(0.2, 0.05), pin.SE3.Identity())
+    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    scene = Scene(model, [Contact("ball", Plane(), 0.1, 0.5, radius=0.05)])
+    falls, motions = np.sqrt(2.0 * 0.3 / g), []
+    for k in range(8):
+        t = rng.uniform(0.0, 0.005) + np.arange(0.0, 0.5, 1.0 / RATE)
+        later = np.maximum(t - falls, 0.0)
+        height = np.where(t < falls, 0.3 - 0.5 * g * t**2, e * g * falls * later - 0.5 * g * later**2)
+        q = np.column_stack([np.zeros((len(t), 2)), 0.05 + height, np.zeros((len(t), 3)), np.ones(len(t))])
+        q[:, :3] += 1e-4 * rng.normal(size=(len(t), 3))
+        motions.append(studies.Motion(t, q, group=k))
+    found = studies.impacts(scene, motions)
+    assert len(found) == 8
+    fit = studies.identify(found, scene, free={"restitution": (0, 1)})
+    low, high = fit.interval(0.999)[0]
+    assert low < e < high
+    assert high - low < 0.02
+    with pytest.raises(InputError, match="found: no impacts"):
+        studies.identify(found[:0], scene)
+
+
 T, Q = np.arange(12) / RATE, np.tile([0.0, 0, 1, 0, 0, 0, 1], (12, 1))
 
 

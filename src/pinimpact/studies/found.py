@@ -79,6 +79,8 @@ def as_found(found: Any, scene: Scene, contact: Any) -> FoundImpacts:
         names = np.full(count, contact) if isinstance(contact, str) else np.asarray(contact)
         found = FoundImpacts(q, before, after, names, np.arange(count))
     count, model = len(found), scene.model
+    if count == 0:
+        raise InputError("found: no impacts, to which nothing can be fitted; see found.dropped", value=found)
     finite_array("q", found.q, (count, model.nq))
     finite_array("v_before", found.v_before, (count, model.nv))
     finite_array("v_after", found.v_after, (count, model.nv))

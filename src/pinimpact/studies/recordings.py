@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import Array, Bools
 from ..checks import above_zero, as_tuple, finite_array, in_short, real_numbers
 from ..errors import InputError
+from ..scene._kernels.tolerances import ATOL
 from ..scene.scene import Scene
 from .flights import Body, Flight, fit_flight
 from .found import FoundImpacts, free_body
@@ -198,7 +199,8 @@ def _noise(poses: list[Poses], body: Body, clearance: float) -> Array:
             "estimated; give sigma=",
             value=len(poses),
         )
-    return np.sqrt(np.mean(squares, axis=0))
+    # recorded poses may be exact, such as those of a body that does not turn; flights are computed to ATOL
+    return np.maximum(np.sqrt(np.mean(squares, axis=0)), ATOL)
 
 
 def _flights(poses: Poses, sigma: Array, body: Body) -> list[slice]:
