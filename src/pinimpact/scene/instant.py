@@ -185,7 +185,7 @@ class Instant:
             struck = self._without_forces(before, jammed)
             if not struck:
                 raise IrregularMotionError(
-                    f"contacts: neither forces nor impulses were found for what touches at t = "
+                    f"contacts: neither forces nor impulses were found for the active contacts at t = "
                     f"{self.state.t:.6g} s; less friction may help"
                 )
             resolved += struck

@@ -141,8 +141,8 @@ class Progress:
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
         if too_much and gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
             raise IrregularMotionError(
-                f"scene: friction would give {gained:.3g} J at t = {state.t:.6g} s, so that the modes of "
-                "contact are none; a smaller rtol may help"
+                f"scene: friction would add {gained:.3g} J at t = {state.t:.6g} s, so that the contact modes "
+                "are wrong; a smaller rtol may help"
             )
 
     def count_impacts(self, before: int) -> None:
