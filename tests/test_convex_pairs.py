@@ -303,6 +303,20 @@ def test_gap_is_exact_when_small_and_never_more_than_the_distance() -> None:
     assert deep.value == pytest.approx(-0.1, rel=1e-14)
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-2, 1e-4])
+def test_gap_of_a_box_over_a_face_is_the_height_of_its_lowest_corner_in_every_size(size: float) -> None:
+    rng, missed = np.random.default_rng(3), []
+    for _ in range(1000):
+        block = box(size * np.array([2.0, 2.0, 1.0])).at(STRAIGHT, np.zeros(3))
+        rotation = pin.exp3(rng.normal(size=3) * rng.choice([1e-4, 0.03, 1.0]))
+        over = box(size * rng.uniform(0.05, 0.6, 3)).at(rotation, np.zeros(3))
+        height = size * 10.0 ** rng.uniform(-9.0, -3.0)
+        across = size * rng.uniform(-0.4, 0.4, 2)  # not beyond the sides, wherever the corner is
+        place = np.array([*across, 0.5 * size + height - over.vertices[:, 2].min()])
+        missed.append(gap(over.shape.at(rotation, place), block).value - height)
+    assert np.abs(missed).max() < 1e-9 * size  # ten times the error that coal gives boxes
+
+
 def test_shapes_are_made_of_what_coal_has() -> None:
     made = of_collision_geometry(coal.Box(1.0, 2.0, 3.0), "b")
     assert made.reach == pytest.approx(math.sqrt(14.0) / 2.0)

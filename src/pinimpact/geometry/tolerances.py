@@ -5,7 +5,8 @@ from __future__ import annotations
 from .._numeric.tolerances import EPS, LITTLE, NOISE, ROUNDING
 
 COAL_ERROR = 1e-10
-"""Largest error of coal's distance, which makes boxes larger."""
+"""Difference up to which coal's distance and the separation along its normal are the same: coal makes boxes
+larger by this. If they differ by more, its points are not the closest ones."""
 
 GJK = COAL_ERROR / 100.0
 """Tolerance of coal's distance."""
