@@ -1,4 +1,4 @@
-"""Motions whose events are located where that goes and crossed by time steps elsewhere."""
+"""The scheme "auto": event-driven integration, with time steps over intervals where it fails."""
 
 from __future__ import annotations
 
@@ -35,14 +35,17 @@ from .test_time_stepping import boxes
 FLOOR = Plane()
 
 
-def automatic(scene, q0, v0, duration, **options):
-    """Simulate; what is crossed is warned of, once, and so are impacts that were not resolved to 1e-6."""
+def simulate_auto(scene, q0, v0, duration, **options):
+    """Simulate with `scheme="auto"` and check the warnings.
+
+    Intervals of time steps must cause exactly one `SteppedWarning`. One `BoundReachedWarning` is allowed.
+    """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         trajectory = simulate(scene, q0, v0, duration, scheme="auto", **options)
-    told = [warning for warning in caught if warning.category is SteppedWarning]
-    assert len(told) == bool(trajectory.stepped)
-    others = [warning for warning in caught if warning not in told]
+    stepped_warnings = [warning for warning in caught if warning.category is SteppedWarning]
+    assert len(stepped_warnings) == bool(trajectory.stepped)
+    others = [warning for warning in caught if warning not in stepped_warnings]
     assert [warning.category for warning in others] in ([], [BoundReachedWarning])
     assert trajectory.complete or trajectory.termination.startswith("The event")
     times = [(one.start, one.end) for one in trajectory.stepped]
@@ -52,15 +55,18 @@ def automatic(scene, q0, v0, duration, **options):
 
 
 def overlap(one, other):
-    """Return how deep two boxes, each a size and a place, are in each other, by coal [m]."""
+    """Return the penetration depth of two boxes (size, placement), computed by coal [m]."""
     shapes = [(coal.Box(*size), coal.Transform3s(at.rotation, at.translation)) for size, at in (one, other)]
     found = coal.CollisionResult()
     hit = coal.collide(*shapes[0], *shapes[1], coal.CollisionRequest(), found)
     return -found.getContact(0).penetration_depth if hit else 0.0
 
 
-def deepest(trajectory, bodies, count=60):
-    """Return how deep free boxes of some sizes are in the floor or in each other [m]."""
+def deepest_penetration(trajectory, bodies, count=60):
+    """Return the largest penetration of free boxes into the floor or each other at `count` times [m].
+
+    `bodies` are the sizes of the boxes.
+    """
     worst = 0.0
     for t in np.linspace(0.0, trajectory.t[-1], count):
         q = trajectory.at(t)[0]
@@ -73,34 +79,34 @@ def deepest(trajectory, bodies, count=60):
 
 
 def chattering(**options):
-    """−sign(v) beside a constant force: at rest at 0.5/0.7 from t = 1/0.7 on."""
+    """Return a scene with the control 0.3 − sign(v); from v = 1 it rests at 0.5/0.7 m from t = 1/0.7 s."""
 
-    def rubbing(t, q, v):
+    def control(t, q, v):
         return np.array([0.3 - np.sign(v[0]), 0.0, 0.0])
 
-    return Scene(slider(), control=rubbing, without=["gravity"], **options)
+    return Scene(slider(), control=control, without=["gravity"], **options)
 
 
-def test_the_plan_names_the_scheme_that_a_scene_calls_for():
+def test_plan_names_the_chosen_scheme():
     assert Scene(ball(), [Contact("center", FLOOR, radius=0.1)]).plan().scheme == "event-driven"
     assert boxes(1, (0.2, 0.2, 0.1), 1.0).plan().scheme == "event-driven"
     assert boxes(2, (0.2, 0.2, 0.1), 1.0).plan().scheme == "auto"
 
 
-def test_what_is_regular_is_as_by_the_event_driven_scheme():
+def test_regular_motion_equals_that_of_event_driven_scheme():
     scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1, friction=0.3, restitution=0.5)])
     state = [0, 0, 1.0, *UP], [1.0, 0, 0, 0, 3.0, 0]
-    one, other = automatic(scene, *state, 2.0), simulate(scene, *state, 2.0, scheme="event-driven")
+    one, other = simulate_auto(scene, *state, 2.0), simulate(scene, *state, 2.0, scheme="event-driven")
     assert one.stepped == ()
     assert one.statistics == other.statistics
     for name in ("t", "q", "v"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_a_control_that_chatters_is_crossed_and_comes_to_rest_where_it_must():
+def test_chattering_control_is_stepped_and_comes_to_rest():
     errors = []
     for dt in (4e-3, 1e-3):
-        trajectory = automatic(chattering(), np.zeros(3), [1.0, 0, 0], 3.0, dt=dt)
+        trajectory = simulate_auto(chattering(), np.zeros(3), [1.0, 0, 0], 3.0, dt=dt)
         assert trajectory.stepped[0].start == pytest.approx(1 / 0.7, abs=0.1)
         assert "jumps" in trajectory.stepped[0].reason
         errors.append(abs(trajectory.q[-1, 0] - 0.5 / 0.7))
@@ -114,19 +120,19 @@ def test_a_control_that_chatters_is_crossed_and_comes_to_rest_where_it_must():
     [lambda t, q, v: -np.sign(v), lambda t, q, v: -np.tanh(v / 1e-9)],
     ids=["jump", "stiff"],
 )
-def test_accepted_steps_that_lead_nowhere_come_to_an_end(control):
-    """Few of them are refused and velocities change by errors: 10⁸ of them would cover a second."""
+def test_vanishing_step_sizes_end_the_event_driven_scheme(control):
+    """Few of these steps are rejected, and velocities change by errors only; 1 s would take 10⁸ steps."""
     scene, v0 = Scene(slider(), control=control), [1.0, 0.4, 0.2]
     with pytest.raises(SimulationError, match="jumps again and again, or is too stiff") as caught:
         simulate(scene, np.zeros(3), v0, 3.0, scheme="event-driven")
     partial = caught.value.partial
     assert partial.statistics["steps"] < 1000
     assert partial.t[-1] == pytest.approx(0.4, abs=1e-3)
-    crossed = automatic(scene, np.zeros(3), v0, 3.0)
+    crossed = simulate_auto(scene, np.zeros(3), v0, 3.0)
     np.testing.assert_allclose(crossed.q[-1, :2], np.square(v0[:2]) / 2.0, atol=2e-3)
 
 
-def test_short_steps_lead_somewhere_where_velocities_change():
+def test_short_steps_of_fast_oscillation_are_accepted():
     rate = 1e8
     scene = Scene(slider(), control=lambda t, q, v: -(rate**2) * q)
     trajectory = simulate(scene, np.zeros(3), [1.0, 0.4, 0.2], 4e-6, scheme="event-driven")
@@ -134,19 +140,19 @@ def test_short_steps_lead_somewhere_where_velocities_change():
     np.testing.assert_allclose(trajectory.v[-1], np.array([1.0, 0.4, 0.2]) * np.cos(400.0), atol=1e-4)
 
 
-def test_events_of_the_user_happen_once_and_in_time_while_steps_cross():
+def test_user_events_happen_once_and_on_time_during_time_steps():
     seen = []
     event = Event(lambda t, q, v: t - 2.0, lambda t, q, v: seen.append(t), name="two")
     last = Event(lambda t, q, v: t - 2.5, terminal=True, name="last")
-    trajectory = automatic(chattering(events=[event, last]), np.zeros(3), [1.0, 0, 0], 3.0)
+    trajectory = simulate_auto(chattering(events=[event, last]), np.zeros(3), [1.0, 0, 0], 3.0)
     assert seen == [pytest.approx(2.0, abs=1e-12)]
     assert [record.name for record in trajectory.events] == ["two", "last"]
     assert trajectory.t[-1] == pytest.approx(2.5, abs=1e-12)
     assert trajectory.stepped[-1].end == trajectory.t[-1]
 
 
-def test_a_file_keeps_the_intervals(tmp_path):
-    trajectory = automatic(chattering(), np.zeros(3), [1.0, 0, 0], 2.0)
+def test_stepped_intervals_are_saved_and_pickled(tmp_path):
+    trajectory = simulate_auto(chattering(), np.zeros(3), [1.0, 0, 0], 2.0)
     assert "time steps of 0.0005 s" in str(trajectory)
     assert "in time steps" in repr(trajectory)
     trajectory.save(tmp_path / "motion.npz")
@@ -154,8 +160,8 @@ def test_a_file_keeps_the_intervals(tmp_path):
         assert repr(again.stepped) == repr(trajectory.stepped)
 
 
-def test_the_report_of_a_run_lists_the_intervals():
-    trajectory = automatic(chattering(), np.zeros(3), [1.0, 0, 0], 2.0)
+def test_report_lists_stepped_intervals():
+    trajectory = simulate_auto(chattering(), np.zeros(3), [1.0, 0, 0], 2.0)
     console = Console(width=200)
     with console.capture() as shown:
         console.print(run_report(trajectory))
@@ -164,8 +170,8 @@ def test_the_report_of_a_run_lists_the_intervals():
     assert run_facts(trajectory)["stepped"][0]["end"] == interval.end
 
 
-def test_a_corner_that_stays_on_a_corner_is_crossed():
-    """No plane is common there, so that its normal is not determined: the crate may fall to any side."""
+def test_corner_resting_on_corner_is_stepped():
+    """The normal of two touching corners is undetermined, so the crate may fall to any side."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
     turned = pin.rpy.rpyToMatrix(math.pi / 4, math.atan(math.sqrt(0.5)), 0.0)
     tip = Box(size=(1.0, 1.0, 1.0), rpy=tuple(pin.rpy.matrixToRpy(turned)), name="tip")
@@ -174,19 +180,19 @@ def test_a_corner_that_stays_on_a_corner_is_crossed():
     q0 = np.array([0, 0, top + 0.1, *pin.Quaternion(turned).coeffs()])
     with pytest.raises(SimulationError, match="crate on tip"):
         simulate(scene, q0, np.zeros(6), 0.3, scheme="event-driven")
-    trajectory = automatic(scene, q0, np.zeros(6), 0.3)
+    trajectory = simulate_auto(scene, q0, np.zeros(6), 0.3)
     assert trajectory.stepped[0].start == pytest.approx(math.sqrt(0.2 / 9.81), abs=1e-6)
     total = trajectory.energy.total
-    assert np.diff(total).max() < 1e-5  # of 11 J, by the removal of overlap
+    assert np.diff(total).max() < 1e-5  # of 11 J, by correction of penetration
     for t in np.linspace(0.0, 0.3, 60):
         crate = (0.2, 0.2, 0.2), pin.XYZQUATToSE3(trajectory.at(t)[0])
-        # within a step its corner moves along a curve
+        # the corner moves along a curve within a step
         assert overlap(crate, ((1.0, 1.0, 1.0), pin.SE3(turned, np.zeros(3)))) < 5e-6
 
 
 @pytest.mark.parametrize("scheme", ["auto", "event-driven"])
-def test_ten_aligned_boxes_stand_for_a_minute(scheme):
-    """Corners on corners: by rounding they leave their faces and edges, and come back."""
+def test_ten_aligned_boxes_stand_for_one_minute(scheme):
+    """Corners lie on corners, so rounding moves contact points off the faces and edges and back."""
     scene = boxes(10, (0.2, 0.2, 0.1), 1.0)
     q0 = np.tile([0, 0, 0, *UP], 10)
     q0[2::7] = 0.05 + 0.1 * np.arange(10)
@@ -204,7 +210,10 @@ def test_ten_aligned_boxes_stand_for_a_minute(scheme):
 
 
 def dominoes(count, order):
-    """Dominoes in a row, numbered in an order; the one at the origin turns about its lower edge."""
+    """Return scene, initial state and sizes of dominoes in a row, of which the first one is tipping.
+
+    `order[k]` is the position of domino k in the row. The domino at the origin rotates about its lower edge.
+    """
     thick, wide, high, rate = 0.008, 0.024, 0.048, 6.0
     scene = boxes(count, (thick, wide, high), 0.01, floor=0.6, between=0.3)
     q0 = np.tile([0, 0, 0.5 * high, *UP], count)
@@ -216,22 +225,22 @@ def dominoes(count, order):
 
 
 @pytest.mark.slow
-def test_dominoes_fall_in_time_however_they_are_numbered():
+def test_domino_times_do_not_depend_on_numbering():
     # Moreau–Jean steps of 1 ms with coal's patches and Pinocchio's ADMM: times of a lean of 0.3 rad
     wanted = [0.054, 0.144, 0.206, 0.253, 0.293]
     found = []
     for order in (list(range(5)), list(range(4, -1, -1))):
         scene, q0, v0, bodies = dominoes(5, order)
-        trajectory = automatic(scene, q0, v0, 0.32)
+        trajectory = simulate_auto(scene, q0, v0, 0.32)
 
         def lean(t, k, trajectory=trajectory):
             q = trajectory.at(t)[0]
             return 2.0 * math.atan2(q[7 * k + 4], q[7 * k + 6]) - 0.3
 
         found.append([brentq(lean, 0.0, 0.32, args=(order.index(k),)) for k in range(5)])
-        assert deepest(trajectory, bodies) < 1e-6
-        # in one plane, but for an impact at 16 contacts, e = 0: where rounding lets one of two corners stop
-        # first, the other one stops later and alone (NEAR_JUMP)
+        assert deepest_penetration(trajectory, bodies) < 1e-6
+        # not exactly planar: in an impact at 16 contacts with e = 0, rounding decides which of two corners
+        # stops first (NEAR_JUMP)
         assert np.abs(trajectory.q[:, 1::7]).max() < 1e-4
         assert np.diff(trajectory.energy.total).max() < 1e-6
     np.testing.assert_allclose(found, [wanted, wanted], atol=2e-3)
@@ -239,7 +248,7 @@ def test_dominoes_fall_in_time_however_they_are_numbered():
 
 
 def struck_stack(speed):
-    """A stack of five boxes, and a small one that flies at the uppermost."""
+    """Return scene, initial state and sizes of a stack of five boxes and a small box flying at the top."""
     model, shapes = pin.Model(), pin.GeometryModel()
     sizes, masses = [(0.2, 0.2, 0.1)] * 5 + [(0.05, 0.05, 0.05)], [1.0] * 5 + [0.3]
     for k, (size, mass) in enumerate(zip(sizes, masses, strict=True)):
@@ -265,14 +274,14 @@ def struck_stack(speed):
 
 
 @pytest.mark.slow
-def test_a_stack_hit_by_a_box_moves_as_in_short_time_steps():
+def test_struck_stack_agrees_with_short_time_steps():
     scene, q0, v0, sizes = struck_stack(2.0)
     short = simulate(scene, q0, v0, 0.12, scheme="time-stepping", dt=1.25e-4)
-    runs = [automatic(scene, q0, v0, 0.12, dt=dt) for dt in (4e-3, 1e-3, 2.5e-4)]
+    runs = [simulate_auto(scene, q0, v0, 0.12, dt=dt) for dt in (4e-3, 1e-3, 2.5e-4)]
     for trajectory in runs:
         assert sum(one.end - one.start for one in trajectory.stepped) < 0.1  # the rest by events
-        assert deepest(trajectory, sizes) < 1e-6
-        assert np.abs(trajectory.q[:, 1::7]).max() < 1e-9  # mirror symmetric, as it begins
+        assert deepest_penetration(trajectory, sizes) < 1e-6
+        assert np.abs(trajectory.q[:, 1::7]).max() < 1e-9  # the motion is mirror symmetric
         np.testing.assert_allclose(trajectory.q[-1], short.q[-1], atol=1e-4)
     errors = [np.abs(run.q[-1] - runs[-1].q[-1]).max() for run in runs[:-1]]
     assert errors[1] < 0.5 * errors[0] < 1e-6
@@ -281,14 +290,14 @@ def test_a_stack_hit_by_a_box_moves_as_in_short_time_steps():
     assert residuals[2] < 1e-6
 
 
-def test_many_boxes_apart_are_stepped_and_lie_where_they_fell():
-    """Eight boxes fall flat from different heights: more islands than share the steps of located events."""
+def test_many_separate_boxes_are_stepped_and_come_to_rest():
+    """Eight boxes fall flat from different heights: too many islands for the event-driven scheme."""
     count, fall = 8, np.linspace(0.02, 0.1, 8)
     q0 = np.tile([0, 0, 0, *UP], count)
     q0[0::7], q0[2::7] = 0.5 * np.arange(count), 0.05 + fall
-    run = automatic(boxes(count, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(6 * count), 0.6)
+    run = simulate_auto(boxes(count, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(6 * count), 0.6)
     assert run.stepped[0].reason.endswith("contacts of many bodies touch")
-    # until six of them touch, the events are those of free fall
+    # until the sixth box lands, events are located
     assert run.stepped[0].start == pytest.approx(math.sqrt(2.0 * fall[5] / 9.81), abs=1e-9)
     rest = q0.copy()
     rest[2::7] = 0.05
@@ -299,20 +308,20 @@ def test_many_boxes_apart_are_stepped_and_lie_where_they_fell():
 
 
 @pytest.mark.slow
-def test_impacts_of_a_pile_that_are_not_resolved_are_crossed():
-    # waves without restitution that have no end and no limit are not replaced by a plastic impact here
+def test_unresolved_impacts_of_a_pile_are_stepped():
+    # with "auto", impacts (e = 0) whose propagation does not converge are not replaced by a plastic impact
     rng = np.random.default_rng(0)
     q0 = np.tile([0, 0, 0, *UP], 10)
     for k in range(10):
         q0[7 * k : 7 * k + 3] = *rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k
-    run = automatic(boxes(10, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(60), 0.18)
+    run = simulate_auto(boxes(10, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(60), 0.18)
     assert any("not resolved" in one.reason for one in run.stepped)
     assert not any("plastic" in note.text for note in run.notes)
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning", "ignore::pinimpact.BoundReachedWarning")
-def test_a_crossing_may_begin_with_an_impact():
-    # boxes that rattle on each other: steps take over as a corner arrives; no impact creates energy
+def test_stepped_interval_may_start_with_an_impact():
+    # boxes rattle on each other, and time steps start at the impact of a corner; no impact creates energy
     scene = boxes(3, (0.1, 0.1, 0.1), 1.0, restitution=0.5)
     q = []
     for k in range(3):

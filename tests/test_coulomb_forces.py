@@ -1,4 +1,4 @@
-"""Forces by convex programs against Coulomb's law itself, written down in NumPy."""
+"""Contact forces: solutions of the kernels against Coulomb's law and enumeration in NumPy."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from pinimpact.scene._kernels.acting_forces import find_forces, jammed_contact
 
 @numba.njit
 def solve(delassus, free, velocity, mu, held, lower, upper, x):
-    """Call the kernel, which only kernels can."""
+    """Call `solve_coulomb`, which has no Python wrapper."""
     return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def contacts_at_rest(seed, contacts, velocities):
-    """A system of contacts and one bounded row, of full or of deficient rank, that loads press together."""
+    """Return the Delassus matrix, free accelerations and μ of random contacts and one bounded row.
+
+    The matrix is singular if `velocities` is less than the number of rows.
+    """
     rng = np.random.default_rng(seed)
     rows = 3 * contacts + 1
     jacobian = rng.normal(size=(rows, velocities))
@@ -34,7 +37,7 @@ def contacts_at_rest(seed, contacts, velocities):
 @pytest.mark.parametrize("velocities", [6, 20])
 @pytest.mark.parametrize("contacts", [1, 2, 4])
 @pytest.mark.parametrize("seed", range(10))
-def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, velocities):
+def test_forces_at_rest_satisfy_coulombs_law_in_accelerations(seed, contacts, velocities):
     delassus, free, mu = contacts_at_rest(seed, contacts, velocities)
     bound = 0.3
     x, accuracy = forces_at_rest(delassus, free, mu, np.array([bound]))
@@ -48,14 +51,14 @@ def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, 
         assert rise >= -near
         assert abs(normal * rise) <= near
         assert np.linalg.norm(tangent) <= mu[i] * normal + near
-        # friction opposes what begins to slip, with all that it has
+        # maximum friction opposes incipient slip
         assert tangent @ slip == pytest.approx(-mu[i] * normal * np.linalg.norm(slip), abs=near)
     assert abs(x[-1]) <= bound + near
     assert x[-1] * a[-1] == pytest.approx(-bound * abs(a[-1]), abs=near)
 
 
 def forces_at_rest(delassus, free, mu, bounds=np.zeros(0)):  # noqa: B008
-    """Solve for contacts that are all at rest; return their forces, and how far these are from the law."""
+    """Solve for contacts that are all at rest; return the forces and the residual."""
     contacts = len(mu)
     x = np.zeros(3 * contacts + len(bounds))
     still, bilateral = np.zeros((contacts, 2)), np.zeros(contacts, dtype=np.bool_)
@@ -64,12 +67,14 @@ def forces_at_rest(delassus, free, mu, bounds=np.zeros(0)):  # noqa: B008
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_forces_beside_a_contact_without_bounds_are_those_of_what_it_leaves_free(seed):
+def test_held_contact_can_be_eliminated(seed):
     delassus, free, mu = contacts_at_rest(seed, 3, 20)
     delassus, free = delassus[:9, :9], free[:9]
     x, none, held = np.zeros(9), np.zeros(0), np.array([False, False, True])
     assert solve(delassus, free, np.zeros((3, 2)), mu, held, none, none, x) <= 1e-10
-    share = np.linalg.solve(delassus[6:, 6:], delassus[6:, :6])  # forces of the held contact
+    share = np.linalg.solve(
+        delassus[6:, 6:], delassus[6:, :6]
+    )  # forces of the held contact per unit force of the others, negated
     reduced = delassus[:6, :6] - delassus[:6, 6:] @ share
     others, accuracy = forces_at_rest(reduced, free[:6] - share.T @ free[6:], mu[:2])
     assert accuracy <= 1e-10
@@ -77,7 +82,7 @@ def test_forces_beside_a_contact_without_bounds_are_those_of_what_it_leaves_free
     assert delassus[6:] @ x + free[6:] == pytest.approx(0.0, abs=1e-9 * np.abs(free).max())
 
 
-def test_without_loads_there_are_no_forces():
+def test_forces_are_zero_without_loads():
     delassus, free, mu = contacts_at_rest(1, 2, 9)
     x, none = np.ones(6), np.zeros(0)
     bilateral = np.zeros(2, dtype=np.bool_)
@@ -87,14 +92,14 @@ def test_without_loads_there_are_no_forces():
 
 @pytest.mark.parametrize("excess", [1e-8, 1e-5])
 @pytest.mark.parametrize("seed", range(40))
-def test_forces_are_found_where_sticking_has_just_ceased_to_be_possible(seed, excess):
-    """Slip that begins may be far from rest there, with iterations that creep past where the solution was."""
+def test_forces_exist_just_beyond_the_sticking_limit(seed, excess):
+    """Forces of incipient slip may be far from sticking forces, near which iterations converge slowly."""
     rng = np.random.default_rng(seed)
     jacobian = rng.normal(size=(6, 8))
     delassus, mu = jacobian @ jacobian.T, np.array([1.2, 0.9])
     angle = rng.uniform(0.0, 2.0 * np.pi, size=2)
     normal = rng.uniform(0.5, 5.0, size=2)
-    share = np.array([1.0 + excess, 0.6])  # of the cone
+    share = np.array([1.0 + excess, 0.6])  # fraction of the friction bound
     stick = np.column_stack(
         [share * mu * normal * np.cos(angle), share * mu * normal * np.sin(angle), normal]
     )
@@ -114,10 +119,10 @@ def test_forces_are_found_where_sticking_has_just_ceased_to_be_possible(seed, ex
 
 @pytest.mark.parametrize("beyond", [0.01, 0.1, 0.5])
 @pytest.mark.parametrize("seed", range(40))
-def test_forces_are_found_for_a_contact_that_slides_off_a_stretched_arm(seed, beyond):
-    """Nothing moves it along u, just outside its cone, and the motion carries it on: it can but slide off.
+def test_forces_of_contact_sliding_off_a_stretched_arm(seed, beyond):
+    """W is singular in a direction u just outside the friction cone, with negative free acceleration along u.
 
-    Its forces are large, and the slip that they cause depends on them the more steeply the nearer u is.
+    The forces are large, and the sensitivity of slip to them grows as u approaches the cone.
     """
     rng = np.random.default_rng(seed)
     mu, angle = rng.uniform(0.5, 1.5), rng.uniform(0.0, 2.0 * np.pi)
@@ -139,20 +144,23 @@ def test_forces_are_found_for_a_contact_that_slides_off_a_stretched_arm(seed, be
 
 
 @pytest.mark.parametrize("seed", [12, 2407])
-def test_forces_are_found_where_a_joint_yields_the_other_way(seed):
-    """A contact at rest beside one that slips, and dry joints: the convex programs end elsewhere."""
+def test_forces_when_a_joint_yields_in_the_other_direction(seed):
+    """One sticking and one sliding contact with dry joints, for which the convex programs do not converge."""
     rng = np.random.default_rng(seed)
     jacobian, factor = rng.normal(size=(9, 8)), rng.normal(size=(8, 8))
     delassus = jacobian @ (factor @ factor.T / 8.0 + 0.1 * np.eye(8)) @ jacobian.T
     free = jacobian @ rng.normal(size=8) - np.array([0, 0, 1, 0, 0, 1, 0, 0, 0])
     velocity = np.array([[0.0, 0.0], rng.normal(size=2)])
     mu, bound = rng.uniform(0.5, 1.2, size=2), rng.uniform(0.05, 0.5)
-    forces_obey_the_law(delassus, free, velocity, mu, bound)
+    check_forces_satisfy_law(delassus, free, velocity, mu, bound)
 
 
 @pytest.mark.parametrize("seed", [1344, 4048, 10102, 13088])
-def test_forces_are_found_where_both_ends_of_an_edge_may_begin_to_slip_beside_others_that_do(seed):
-    """The ends move alike along the edge; neither sticking nor the slip that convex programs see will do."""
+def test_forces_at_incipient_slip_of_edge_beside_sliding_contacts(seed):
+    """Both ends of an edge have the same acceleration along it.
+
+    Neither sticking nor the direction of slip from the convex programs is a solution.
+    """
     rng = np.random.default_rng(seed)
     jacobian, factor = rng.normal(size=(15, 14)), rng.normal(size=(14, 14))
     jacobian[9] = jacobian[6]
@@ -160,11 +168,11 @@ def test_forces_are_found_where_both_ends_of_an_edge_may_begin_to_slip_beside_ot
     free = jacobian @ rng.normal(size=14) - np.array([0, 0, 1] * 4 + [0] * 3)
     velocity = np.vstack([rng.normal(size=(2, 2)), np.zeros((2, 2))])
     mu, bound = rng.uniform(0.5, 1.2, size=4), rng.uniform(0.05, 0.5)
-    forces_obey_the_law(delassus, free, velocity, mu, bound)
+    check_forces_satisfy_law(delassus, free, velocity, mu, bound)
 
 
-def forces_obey_the_law(delassus, free, velocity, mu, bound):
-    """Check the forces of contacts that slip or, where their velocity is zero, rest, and of dry joints."""
+def check_forces_satisfy_law(delassus, free, velocity, mu, bound):
+    """Check the forces of contacts (at rest if their velocity is zero, else sliding) and of dry joints."""
     contacts, joints = len(mu), len(free) - 3 * len(mu)
     x, bounds = np.zeros(len(free)), np.full(joints, bound)
     accuracy = solve(delassus, free, velocity, mu, np.zeros(contacts, dtype=bool), -bounds, bounds, x)
@@ -186,8 +194,8 @@ def forces_obey_the_law(delassus, free, velocity, mu, bound):
             assert force == pytest.approx(-np.copysign(bound, rate))
 
 
-def choices_that_hold(delassus, free, directions, mu):
-    """Return the forces of each choice of which slipping contacts are closed that obeys the law."""
+def solutions_by_enumeration(delassus, free, directions, mu):
+    """Return the forces of each active set of sliding contacts that satisfies complementarity."""
     contacts = len(mu)
     pushes = np.zeros((3 * contacts, contacts))
     for i in range(contacts):
@@ -204,8 +212,8 @@ def choices_that_hold(delassus, free, directions, mu):
     return found
 
 
-def test_forces_on_contacts_that_slip_are_found_wherever_there_are_any():
-    """Slip may drive contacts in (Painlevé): then there may be none, or several."""
+def test_sliding_forces_are_found_whenever_they_exist():
+    """With negative normal accelerations (Painlevé) there may be no solution, or several."""
     rng = np.random.default_rng(5)
     counts = []
     for _ in range(300):
@@ -213,7 +221,9 @@ def test_forces_on_contacts_that_slip_are_found_wherever_there_are_any():
         delassus, mu = jacobian @ jacobian.T, rng.uniform(0.5, 2.0, size=3)
         velocity = rng.normal(size=(3, 2))
         free = rng.normal(size=9)
-        expected = choices_that_hold(delassus, free, velocity / np.linalg.norm(velocity, axis=1)[:, None], mu)
+        expected = solutions_by_enumeration(
+            delassus, free, velocity / np.linalg.norm(velocity, axis=1)[:, None], mu
+        )
         x = np.zeros(9)
         nothing, held = np.zeros(0), np.zeros(3, dtype=np.bool_)
         accuracy = solve(delassus, free, velocity, mu, held, nothing, nothing, x)
@@ -226,8 +236,8 @@ def test_forces_on_contacts_that_slip_are_found_wherever_there_are_any():
     assert max(counts) > 1
 
 
-def slip_held_by_joints(seed, joints):
-    """One contact that slips, on joints with dry friction that would jam it if they all held."""
+def sliding_contact_jammed_by_held_joints(seed, joints):
+    """Return a problem of a sliding contact that jams if all joints are held by dry friction."""
     rng = np.random.default_rng(seed)
     while True:
         rows = rng.normal(size=(3 + joints, 3 + joints + 2))
@@ -247,10 +257,10 @@ def slip_held_by_joints(seed, joints):
 @pytest.mark.parametrize(
     ("joints", "seeds"), [(1, [102, 109, 114]), (3, [165, 204, 428]), (8, [145, 157, 300]), (12, [55, 332])]
 )
-def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints, seeds):
-    """The gap accelerates down without a force and up with a large one, so some force is right."""
+def test_contact_jammed_by_held_joints_has_solution_with_yielding_joints(joints, seeds):
+    """The gap closes faster without a normal force and opens with a large one, so a solution exists."""
     for seed in [*seeds, *range(10)]:
-        delassus, free, mu, push = slip_held_by_joints(seed, joints)
+        delassus, free, mu, push = sliding_contact_jammed_by_held_joints(seed, joints)
         bound = np.random.default_rng(seed).uniform(0.1, 5.0, size=joints)
         x = np.zeros(3 + joints)
         accuracy = solve(
@@ -276,13 +286,13 @@ def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints,
 
 @numba.njit
 def find(delassus, free, slip, mu, held, lower, upper, x, pressed, before):
-    """Call the kernel, which only kernels can."""
+    """Call `find_forces`, which has no Python wrapper."""
     least = np.zeros(len(mu))
     return find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed, before, True)
 
 
-def found_from(delassus, free, slip, mu, bound, pressed, before=0.0):
-    """Return what `find_forces` finds for contacts and joints with these bounds."""
+def solution_from(delassus, free, slip, mu, bound, pressed, before=0.0):
+    """Return the forces that `find_forces` selects; all joints have the bounds ±bound."""
     nc, x = len(mu), np.zeros(len(free))
     limits = np.full(len(free) - 3 * nc, bound)
     held, start = np.zeros(nc, dtype=bool), np.zeros(len(free)) + before
@@ -290,8 +300,8 @@ def found_from(delassus, free, slip, mu, bound, pressed, before=0.0):
     return x
 
 
-def could_open_or_stay(seed, bound):
-    """A contact beside a joint at its bound that obeys the law open and, by linear algebra, at rest too."""
+def contact_that_can_separate_or_stick(seed, bound):
+    """Return a problem of a contact and a joint whose contact may separate or stick, and both solutions."""
     rng = np.random.default_rng(seed)
     while True:
         jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
@@ -299,7 +309,7 @@ def could_open_or_stay(seed, bound):
         alone = np.clip(-free[3] / delassus[3, 3], -bound, bound)
         opens = free + delassus[:, 3] * alone
         resting = np.linalg.solve(delassus, -free)
-        if abs(resting[3]) > bound:  # it yields
+        if abs(resting[3]) > bound:  # the joint yields
             resting[3] = np.sign(resting[3]) * bound
             resting[:3] = np.linalg.solve(delassus[:3, :3], -free[:3] - delassus[:3, 3] * resting[3])
             if (delassus[3] @ resting + free[3]) * resting[3] > 0.0:
@@ -308,8 +318,8 @@ def could_open_or_stay(seed, bound):
             return delassus, free, alone, resting
 
 
-def could_slip_or_stay(seed, bound):
-    """A contact that begins to slip beside a joint that begins to move, lawfully, though both could rest."""
+def contact_that_can_slip_or_stick(seed, bound):
+    """Return a problem in which contact and joint may start to slip or stay at rest, and both solutions."""
     rng = np.random.default_rng(seed)
     while True:
         jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
@@ -324,18 +334,18 @@ def could_slip_or_stay(seed, bound):
             return delassus, free, sliding, resting
 
 
-def test_what_is_pressed_and_at_rest_stays_so_where_it_could_slip():
+def test_loaded_sticking_contact_sticks_if_it_could_also_slip():
     for seed in range(40):
-        delassus, free, _, resting = could_slip_or_stay(seed, 1.0)
-        found = found_from(delassus, free, np.zeros((1, 2)), np.ones(1), 1.0, [True, False])
+        delassus, free, _, resting = contact_that_can_slip_or_stick(seed, 1.0)
+        found = solution_from(delassus, free, np.zeros((1, 2)), np.ones(1), 1.0, [True, False])
         np.testing.assert_allclose(found, resting, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("slides", [0.0, 0.6])
-def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(slides):
-    """Two contacts, one of which slips: what rests has no acceleration, what slips none along its normal.
+def test_sticking_contact_beside_sliding_contact_separates_if_unstable(slides):
+    """One contact sticks (zero acceleration) and one slides (zero normal acceleration).
 
-    Where the determinant of their equations is negative that would not last, and what opens does.
+    If the determinant of these equations is negative, this is unstable, and the sticking contact separates.
     """
     found = 0
     for seed in range(1000):
@@ -353,24 +363,24 @@ def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(sl
         found += 1
         opened = np.array([[0.0, 0.0, 0.0], alone * friction])
         lasts = np.linalg.det(effects[[0, 1, 2, 5]]) > 0.0
-        force = found_from(delassus, free, np.array([[0.0, 0.0], [0.6, 0.8]]), mu, 0.0, [True, True])
+        force = solution_from(delassus, free, np.array([[0.0, 0.0], [0.6, 0.8]]), mu, 0.0, [True, True])
         expected = [resting, push * friction] if lasts else opened
         np.testing.assert_allclose(force, np.ravel(expected), rtol=1e-8, atol=1e-8)
     assert found > 0
 
 
 @pytest.mark.parametrize("bound", [0.1, 10.0])
-def test_what_is_pressed_stays_closed_where_it_could_open(bound):
+def test_loaded_contact_stays_active_if_it_could_also_separate(bound):
     for seed in range(40):
-        delassus, free, _, resting = could_open_or_stay(seed, bound)
-        found = found_from(delassus, free, np.zeros((1, 2)), np.ones(1), bound, [True, False])
+        delassus, free, _, resting = contact_that_can_separate_or_stick(seed, bound)
+        found = solution_from(delassus, free, np.zeros((1, 2)), np.ones(1), bound, [True, False])
         np.testing.assert_allclose(found, resting, rtol=1e-9, atol=1e-9)
 
 
 def every_solution(delassus, free, mu, bound):
-    """All forces of one contact that slips along t₁ and of rows within ±bound, by enumeration; their signs.
+    """Enumerate the solutions for one contact that slides along t₁ and rows within ±bound.
 
-    The sign is that of the determinant of the equations of what is closed and held.
+    Return forces and, for each, whether the determinant of the equations of active and held rows is positive.
     """
     size = len(free)
     found = []
@@ -398,7 +408,7 @@ def every_solution(delassus, free, mu, bound):
 
 
 def problems_with_several_solutions():
-    """Of 2,000 draws: Delassus matrix, accelerations, friction, bound, and all solutions."""
+    """Yield W, free accelerations, μ, bound and solutions of those of 2,000 problems with several."""
     rng = np.random.default_rng(7)
     for _ in range(2000):
         factor = rng.normal(size=(5, 5))
@@ -410,13 +420,13 @@ def problems_with_several_solutions():
 
 
 def slipping(delassus, free, mu, bound, x):
-    """Arguments of kernels for such a problem."""
+    """Return the arguments of `solve` for such a problem."""
     limits = np.full(2, bound)
     return (delassus, free, np.array([[1.0, 0.0]]), np.array([mu]), np.array([False]), -limits, limits, x)
 
 
-def test_of_several_forces_those_where_the_search_begins_are_taken():
-    """Where iterations come near forces but take too long, others are not to be found in their place."""
+def test_solution_near_initial_guess_is_returned():
+    """Slow convergence to a solution near the initial guess must not lead to another solution."""
     rng = np.random.default_rng(1)
     several = 0
     for *problem, solutions in problems_with_several_solutions():
@@ -429,11 +439,11 @@ def test_of_several_forces_those_where_the_search_begins_are_taken():
 
 
 @pytest.mark.parametrize("pressed", [[True, True, True], [True, False, False], [False] * 3])
-def test_forces_from_which_any_deviation_grows_give_way_to_others(pressed):
-    """Those of a negative determinant do, nearly wherever there are others."""
+def test_stable_solution_is_preferred(pressed):
+    """Solutions of negative determinant are unstable, and chosen in at most two of these problems."""
     several = lasts = 0
     for delassus, free, mu, bound, solutions in problems_with_several_solutions():
-        taken = found_from(delassus, free, np.array([[1.0, 0.0]]), np.array([mu]), bound, pressed)
+        taken = solution_from(delassus, free, np.array([[1.0, 0.0]]), np.array([mu]), bound, pressed)
         off = [np.abs(taken - x).max() <= 1e-8 * np.abs(taken).max() for x, _ in solutions]
         assert any(off)
         several += 1
@@ -442,15 +452,15 @@ def test_forces_from_which_any_deviation_grows_give_way_to_others(pressed):
     assert lasts >= several - 2
 
 
-def slip_that_begins(delassus, free, mu, bound):
-    """All forces (4,) of a contact that begins to slip beside a joint within ±bound; whether they last.
+def incipient_slip_solutions(delassus, free, mu, bound):
+    """Return forces (4,), determinant and stability of all incipient slips of a contact beside a joint.
 
-    They do if, in the direction d(θ) of slip, the determinant of what is closed and held is positive, and the
-    acceleration across d turns slip back to it: it falls with θ where it vanishes.
+    A solution is stable if the determinant of the active and held rows is positive in the direction d(θ) of
+    slip, and the acceleration perpendicular to d, zero at the solution, decreases with θ.
     """
 
     def at(angle, side):
-        """Acceleration across the direction, forces, whether they obey the law, and the determinant."""
+        """Return acceleration perpendicular to d, forces, whether the law is satisfied, determinant."""
         c, s = np.cos(angle), np.sin(angle)
         nothing = np.zeros_like(c)
         friction = np.array([-mu * c, -mu * s, nothing + 1.0, nothing])
@@ -482,23 +492,23 @@ def slip_that_begins(delassus, free, mu, bound):
 
 
 @pytest.mark.parametrize("seed", [2, 7, 9, 14])
-def test_slip_that_begins_lasts_in_the_direction_it_takes(seed):
-    """Of all equations the determinant may be positive where neither the forces last nor the direction."""
+def test_direction_of_incipient_slip_is_stable(seed):
+    """The determinant of all equations may be positive although forces and direction are unstable."""
     rng, begun = np.random.default_rng(seed), 0
     for _ in range(100):
         factor = rng.normal(size=(4, 4))
         delassus, free = factor @ factor.T, 3.0 * rng.normal(size=4)
         mu, bound = rng.uniform(1.0, 3.0), rng.uniform(0.1, 1.0)
-        solutions = slip_that_begins(delassus, free, mu, bound)
-        x = found_from(delassus, free, np.zeros((1, 2)), np.array([mu]), bound, [False, False])
+        solutions = incipient_slip_solutions(delassus, free, mu, bound)
+        x = solution_from(delassus, free, np.zeros((1, 2)), np.array([mu]), bound, [False, False])
         taken = [lasts for one, _, lasts in solutions if np.abs(one - x).max() <= 1e-6 * np.abs(x).max()]
         assert all(taken)
         begun += len(taken)
     assert begun > 10
 
 
-def could_move_or_hold(seed, bound):
-    """A contact that slips beside a joint that begins to move, though both laws let it be held too."""
+def joint_that_can_move_or_stay_held(seed, bound):
+    """Return a problem of a sliding contact and a joint that may move or stay held, and both solutions."""
     rng = np.random.default_rng(seed)
     while True:
         jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
@@ -513,41 +523,44 @@ def could_move_or_hold(seed, bound):
             return delassus, free, mu, push * friction, -side * bound, resting[0] * friction, resting[1]
 
 
-def test_a_joint_that_has_been_held_beside_slip_stays_so_where_it_could_move():
+def test_held_joint_beside_sliding_contact_stays_held_if_it_could_also_move():
     for seed in range(40):
-        delassus, free, mu, _, _, force, strength = could_move_or_hold(seed, 1.0)
-        found = found_from(delassus, free, np.array([[0.6, 0.8]]), np.array([mu]), 1.0, [True, True])
+        delassus, free, mu, _, _, force, strength = joint_that_can_move_or_stay_held(seed, 1.0)
+        found = solution_from(delassus, free, np.array([[0.6, 0.8]]), np.array([mu]), 1.0, [True, True])
         np.testing.assert_allclose(found, [*force, strength], rtol=1e-8)
 
 
 @numba.njit
-def driven(delassus, free, slip, mu, held, x):
-    """Call the kernel, which only kernels can."""
+def call_jammed_contact(delassus, free, slip, mu, held, x):
+    """Call `jammed_contact`, which has no Python wrapper."""
     return jammed_contact(delassus, free, slip, mu, held, x)
 
 
-def test_slip_drives_a_surface_in_where_no_force_of_its_own_helps():
-    """Painlevé: c − μ b·s < 0 and a surface that is approached; another force may keep it off."""
+def test_painleve_contact_is_detected_unless_other_forces_prevent_penetration():
+    """If c − μ b·s < 0 and the gap accelerates downwards, the contact jams unless another force lifts it."""
     delassus = np.array([[4.0, 0.0, 1.9], [0.0, 4.0, 0.0], [1.9, 0.0, 1.0]])
     free, mu, held = np.array([0.0, 0.0, -1.0]), np.array([0.8]), np.array([False])
     for direction, expected in ((1.0, 0), (-1.0, -1), (0.0, -1)):
-        assert driven(delassus, free, np.array([[direction, 0.0]]), mu, held, np.zeros(3)) == expected
+        assert (
+            call_jammed_contact(delassus, free, np.array([[direction, 0.0]]), mu, held, np.zeros(3))
+            == expected
+        )
     lifted = np.block([[delassus, np.array([[0.0], [0.0], [2.0]])], [np.array([0.0, 0.0, 2.0, 5.0])]])
     more = np.append(free, 0.0)
     for push, expected in ((0.4, 0), (0.6, -1)):
         forces = np.array([0.0, 0.0, 0.0, push])
-        assert driven(lifted, more, np.array([[1.0, 0.0]]), mu, held, forces) == expected
+        assert call_jammed_contact(lifted, more, np.array([[1.0, 0.0]]), mu, held, forces) == expected
 
 
 @numba.njit
 def may_grow(effective):
-    """Call the kernel, which only kernels can."""
+    """Call `contact_forces.may_grow`, which has no Python wrapper."""
     return contact_forces.may_grow(effective)
 
 
 @pytest.mark.parametrize("rank", [1, 2, 3, 4])
-def test_slip_drives_in_where_a_sum_of_principal_minors_is_negative(rank):
-    """Against the characteristic polynomial by NumPy; also of four corners of a sole, whose rank is three."""
+def test_may_grow_is_the_sign_of_sums_of_principal_minors(rank):
+    """Compare with the characteristic polynomial by NumPy, also for rank three with four contacts."""
     rng, found = np.random.default_rng(rank), set()
     for _ in range(400):
         size = max(rank, 2)
@@ -566,14 +579,14 @@ def test_slip_drives_in_where_a_sum_of_principal_minors_is_negative(rank):
 
 
 def sum_of_minors(matrix, order):
-    """Return the sum of all principal minors of an order."""
+    """Return the sum of all principal minors of the given order."""
     chosen = itertools.combinations(range(len(matrix)), order)
     return sum(np.linalg.det(matrix[np.ix_(rows, rows)]) for rows in chosen)
 
 
 @pytest.mark.parametrize("start", [np.nan, np.inf, 1e200])
-def test_where_the_search_for_forces_begins_does_not_matter(start):
-    """Sweeps that diverge leave numbers that are none."""
+def test_useless_initial_guess_does_not_change_the_solution(start):
+    """Diverging projected Gauss–Seidel iterations leave NaN and infinities."""
     delassus, free, mu = contacts_at_rest(3, 2, 6)
     held, nothing, velocity = np.zeros(2, dtype=np.bool_), np.zeros(0), np.zeros((2, 2))
     found, expected = np.full(6, start), np.zeros(6)

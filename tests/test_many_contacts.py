@@ -1,4 +1,4 @@
-"""Impacts at many contacts in contact space: closed forms, another integration, symmetries, energy."""
+"""Impacts at several contacts in contact space: closed forms, integration by SciPy, symmetries, energy."""
 
 import math
 import re
@@ -23,7 +23,7 @@ CRADLE = (-0.130261695064521, 0.150229569434774, 0.980032125629747)
 
 
 def row_of_balls(count, masses=None):
-    """J (3n, balls) and M⁻¹ of balls in a row."""
+    """Return J (3n, balls) and M⁻¹ of balls in a row with n contacts."""
     jacobian = np.zeros((3 * (count - 1), count))
     for j in range(count - 1):
         jacobian[3 * j + 2, j : j + 2] = -1.0, 1.0
@@ -31,7 +31,7 @@ def row_of_balls(count, masses=None):
 
 
 def collide(jacobian, inverse, u, friction=0.0, restitution=0.0, **options):
-    """Return the solution and u⁺."""
+    """Solve an impact with the energetic law; return the solution and u⁺."""
     problem = ImpactProblem(
         jacobian @ inverse @ jacobian.T,
         (jacobian @ u).reshape(-1, 3),
@@ -45,13 +45,13 @@ def collide(jacobian, inverse, u, friction=0.0, restitution=0.0, **options):
 
 
 def planar_body(points, mass, inertia):
-    """J and M⁻¹ of a body in the plane (vx, vz, ω), touched at points (x, z) relative to its centre."""
+    """Return J and M⁻¹ of a planar body (vx, vz, ω) with contacts at points (x, z) relative to its centre."""
     rows = [row for x, z in points for row in ([1.0, 0.0, -z], [0.0, 0.0, 0.0], [0.0, 1.0, x])]
     return np.array(rows), np.diag([1.0 / mass, 1.0 / mass, 1.0 / inertia])
 
 
 def turning_about(corner, omega):
-    """Velocity (vx, vz, ω) of a body whose corner (x, z) is at rest."""
+    """Return the velocity (vx, vz, ω) of a body that rotates about its corner (x, z)."""
     return np.array([omega * corner[1], -omega * corner[0], omega])
 
 
@@ -65,14 +65,14 @@ def turning_about(corner, omega):
     ],
 )
 def test_three_balls_in_a_row(e, after, digits):
-    # the numbers of the notes on this model, found there by another program
+    # reference values by an independent program
     _, found = collide(*row_of_balls(3), np.array([1.0, 0.0, 0.0]), restitution=e)
     assert found == pytest.approx(after, abs=digits)
 
 
-def test_three_elastic_balls_by_their_two_modes():
-    # δ₁ ± δ₂ swing with 1 and √3: the first contact opens where sin t + sin(√3 t)/√3 is zero, then the
-    # second one springs back alone, as an oscillator of frequency √2
+def test_three_elastic_balls_agree_with_modal_solution():
+    # δ₁ ± δ₂ oscillate with frequencies 1 and √3. The first contact separates at the zero of
+    # sin t + sin(√3 t)/√3, after which the second one unloads with frequency √2.
     low, high = 2.0, 3.0
     for _ in range(80):
         middle = 0.5 * (low + high)
@@ -93,7 +93,7 @@ def test_three_elastic_balls_by_their_two_modes():
     assert found == pytest.approx([1 - p1, p1 - p2, p2], abs=1e-14)
 
 
-def test_hertzian_rows_of_balls():
+def test_rows_of_balls_with_hertzian_contacts():
     _, three = collide(
         *row_of_balls(3), np.array([1.0, 0, 0]), restitution=1.0, exponent=1.5, simultaneous="propagate"
     )
@@ -106,25 +106,26 @@ def test_hertzian_rows_of_balls():
     assert ten == pytest.approx(expected, abs=1e-7)
 
 
-def test_ten_balls_as_another_program_has_them():
+def test_ten_balls_agree_with_siconos():
     # Siconos, Examples/Mechanics/ChainOfBalls/resultMonodisperseChain_LZBModel.ref, after the impact:
-    # the same model by Euler's method with steps of 1e-6 N s, which is that far from its own limit
+    # the same model, integrated by Euler's method with steps of 1e-6 N s, to an accuracy of 5e-4
     theirs = (-0.07105929287758861, -0.030186240457886, -0.01574960308766378, -0.008808055289868551)
     theirs += (-0.005062343781337067, -0.00293663194584919, -0.001701856524055756, 0.002624517363818925)
     theirs += (0.1469233855937676, 0.9859561210066624)
     start = np.eye(10)[0]
     _, ours = collide(*row_of_balls(10), start, restitution=1.0, exponent=1.5, simultaneous="propagate")
     assert ours == pytest.approx(theirs, abs=5e-4)
-    assert abs(ours[8] - theirs[8]) > 4e-4  # it is not ours that is off: see the test before
+    assert abs(ours[8] - theirs[8]) > 4e-4  # the error is that of Siconos: see the test before
 
 
 @pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8])
 @pytest.mark.parametrize("e", [1.0, 0.5])
-def test_contacts_each_much_stiffer_or_softer_than_the_one_before(e, ratio):
-    # balls behind much stiffer contacts move as one; softer ones let impacts of two follow each other
+def test_stiffness_ratios_of_1e4_to_1e8(e, ratio):
+    # with increasing stiffness the balls behind the first contact move as one body; with decreasing stiffness
+    # impacts of two balls follow each other
     start, power = np.eye(4)[0], np.arange(3.0)
     rows, inverse = row_of_balls(4)
-    spinning = np.zeros((9, 12))  # with y and rotations; the first ball is oblique, and slips
+    spinning = np.zeros((9, 12))  # balls with velocity along y and rotation; the first one strikes obliquely
     for j in range(3):
         spinning[3 * j + 2] = np.kron(np.eye(4)[j + 1] - np.eye(4)[j], [1, 0, 0])
         spinning[3 * j] = np.kron(np.eye(4)[j + 1] - np.eye(4)[j], [0, 1, 0])
@@ -136,7 +137,7 @@ def test_contacts_each_much_stiffer_or_softer_than_the_one_before(e, ratio):
     as_one = np.full(4, (1.0 + e) / 4.0) - np.array([e, 0.0, 0.0, 0.0])
     for solution, velocity in ((smooth, after), (rough, spun[::3])):
         assert not solution.flags & pinimpact.Flag.BOUND_REACHED
-        assert velocity == pytest.approx(as_one, abs=1.0 / ratio + 1e-7)  # what is stored in vibrations
+        assert velocity == pytest.approx(as_one, abs=1.0 / ratio + 1e-7)  # up to the energy of vibrations
     in_turn = start.copy()
     while (np.diff(in_turn) < -1e-14).any():
         j = int(np.argmin(np.diff(in_turn)))
@@ -146,7 +147,7 @@ def test_contacts_each_much_stiffer_or_softer_than_the_one_before(e, ratio):
 
 
 @pytest.mark.parametrize(("e", "after"), [(1.0, (-0.2, 0.6, 0.3464102)), (0.5, (0.1, 0.45, 0.2598076))])
-def test_a_ball_between_two(e, after):
+def test_ball_strikes_two_balls_symmetrically(e, after):
     jacobian = np.zeros((6, 6))
     for j, side in enumerate((1.0, -1.0)):
         normal = np.array([math.cos(math.pi / 6), side * math.sin(math.pi / 6)])
@@ -159,7 +160,7 @@ def test_a_ball_between_two(e, after):
 
 @pytest.mark.parametrize("slenderness", [4.0, 2.0, 1.0, 1 / math.sqrt(2)])
 @pytest.mark.parametrize("e", [0.0, 0.3, 0.5])
-def test_a_rocking_block_turns_about_one_corner(slenderness, e):
+def test_rocking_block_rotates_about_the_other_corner(slenderness, e):
     height = slenderness
     corners = (-1.0, -height), (1.0, -height)
     jacobian, inverse = planar_body(corners, 1.0, (1 + height**2) / 3)
@@ -169,12 +170,12 @@ def test_a_rocking_block_turns_about_one_corner(slenderness, e):
     assert after[2] / -1.0 == pytest.approx(1 - 1.5 * (1 + e) * math.sin(alpha) ** 2, abs=1e-12)
 
 
-def test_a_flat_block_lands():
+def test_flat_block_lands_on_its_second_corner():
     corners = (-0.5, -0.25), (0.5, -0.25)
     jacobian, inverse = planar_body(corners, 1.0, (1 + 0.25) / 12)
     start = turning_about(corners[0], -1.0)
     solution, after = collide(jacobian, inverse, start, friction=100.0, restitution=0.0)
-    # ever smaller compressions, down to 1e-10 of the largest velocity
+    # a sequence of decreasing compressions ends at 1e-10 of the largest velocity
     assert after == pytest.approx(np.zeros(3), abs=1e-10)
     assert solution.impulse[:, 2] == pytest.approx((0.0833333, 0.4166667), abs=1e-7)
     _, bounced = collide(jacobian, inverse, start, friction=100.0, restitution=0.5)
@@ -198,8 +199,8 @@ def test_a_flat_block_lands():
         ),
     ],
 )
-def test_a_body_lands_flat_on_corners_of_different_kinds(corners, masses, friction, restitution):
-    # friction is shared by corners in many ways; which of them slips first is the same in all numberings
+def test_flat_landing_on_unequal_corners_does_not_depend_on_numbering(corners, masses, friction, restitution):
+    # the distribution of friction is not unique, but must not depend on the numbering
     n = len(corners)
     jacobian = np.zeros((3 * n, 6))
     for j, (x, y) in enumerate(corners):
@@ -217,19 +218,19 @@ def test_a_body_lands_flat_on_corners_of_different_kinds(corners, masses, fricti
         velocity = np.empty((n, 3))
         velocity[order] = solution.velocity
         found.append(velocity)
-    # in m/s: to what steps are followed
+    # accuracy of the steps [m/s]
     np.testing.assert_allclose(found, np.broadcast_to(found[0], (n + 1, n, 3)), atol=1e-7)
 
 
-def test_a_bar_lands_flat_and_does_not_turn():
+def test_flat_bar_rebounds_without_rotation():
     jacobian, inverse = planar_body([(-0.5, 0.0), (0.5, 0.0)], 1.0, 1 / 12)
     solution, after = collide(jacobian, inverse, np.array([0.0, -1.0, 0.0]), restitution=0.6)
     assert after == pytest.approx([0.0, 0.6, 0.0], abs=1e-14)
     assert solution.statuses == (Status.SEPARATED, Status.SEPARATED)
 
 
-def test_a_point_leaves_a_narrow_wedge():
-    # to and fro between walls that enclose 5°, in 48 events; the numbers of the notes on this model
+def test_point_mass_leaves_narrow_wedge():
+    # 48 events between walls at an angle of 5°; reference values by an independent program
     half = math.radians(2.5)
     jacobian = np.zeros((6, 2))
     jacobian[2], jacobian[5] = (math.sin(half), math.cos(half)), (math.sin(half), -math.cos(half))
@@ -247,7 +248,7 @@ def test_two_feet_of_a_rimless_wheel(alpha, inertia):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_one_contact_is_what_it_is_alone(seed):
+def test_propagation_with_one_contact_equals_single_impact(seed):
     rng = np.random.default_rng(seed)
     compared = 0
     for _ in range(200):
@@ -265,8 +266,8 @@ def test_one_contact_is_what_it_is_alone(seed):
     assert compared > 180
 
 
-def by_scipy(w, v, e, stiffness, exponent):
-    """v₃⁺ of n frictionless contacts, by scipy from event to event."""
+def integrate_with_scipy(w, v, e, stiffness, exponent):
+    """Return v₃⁺ of n frictionless contacts, integrated by SciPy from event to event."""
     n = len(v)
     d, deepest, loading = np.zeros(n), np.zeros(n), v < 0
     v = v.copy()
@@ -322,7 +323,7 @@ def by_scipy(w, v, e, stiffness, exponent):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 @pytest.mark.parametrize("seed", range(6))
-def test_against_an_integration_by_scipy(seed, exponent):
+def test_frictionless_impacts_agree_with_integration_by_scipy(seed, exponent):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 5))
     factor = rng.normal(size=(n, n + 1))
@@ -335,12 +336,12 @@ def test_against_an_integration_by_scipy(seed, exponent):
     problem = ImpactProblem(w, velocity, 0.0, e, "energetic", stiffness=stiffness)
     found = solve_impact(problem, simultaneous="propagate", exponent=exponent)
     scaled = stiffness / np.max(stiffness * np.diag(normal))
-    expected = by_scipy(normal, v / np.abs(v).max(), e, scaled, exponent) * np.abs(v).max()
+    expected = integrate_with_scipy(normal, v / np.abs(v).max(), e, scaled, exponent) * np.abs(v).max()
     assert found.velocity[:, 2] == pytest.approx(expected, abs=1e-8)
 
 
-def draw(seed, flat=False):
-    """A random robot with n contacts: J, M⁻¹, u, μ, e."""
+def random_robot(seed, flat=False):
+    """Return J, M⁻¹, u, μ and e of a random robot with several contacts."""
     rng = np.random.default_rng(seed)
     n, dofs = int(rng.integers(2, 5)), int(rng.integers(4, 15))
     jacobian, u = rng.normal(size=(3 * n, dofs)), rng.normal(size=dofs)
@@ -355,7 +356,7 @@ def draw(seed, flat=False):
 def test_invariants_of_random_problems():
     moved = []
     for seed in range(300):
-        jacobian, inverse, u, mu, e = draw(seed)
+        jacobian, inverse, u, mu, e = random_robot(seed)
         n = len(mu)
         v = (jacobian @ u).reshape(n, 3)
         solution, after = collide(jacobian, inverse, u, friction=mu, restitution=e)
@@ -372,13 +373,13 @@ def test_invariants_of_random_problems():
         rows = (3 * order[:, None] + np.arange(3)).ravel()
         other, _ = collide(jacobian[rows], inverse, u, friction=mu[order], restitution=e[order])
         moved.append(np.abs(other.velocity - solution.velocity[order]).max() / scale)
-    # ties that rounding decides differ where the map jumps; the rest does not
+    # results differ only if rounding decides a tie where the map is discontinuous
     assert np.quantile(moved, 0.97) < 1e-9
 
 
-def test_impacts_that_die_out_leave_the_slip_of_others_alone():
-    # a body in a groove bounces from side to side without end; slip keeps its direction, so that the whole
-    # chain is linear: v₃ = 0 at both sides, with friction −μ P₃ at one
+def test_sliding_continues_through_infinitely_many_impacts_in_a_groove():
+    # a body in a groove bounces between its sides infinitely often. Slip keeps its direction, so the limit is
+    # linear: v₃ = 0 at both sides, with friction −μ P₃ at one
     turned = math.sqrt(0.5)
     jacobian = np.zeros((6, 3))
     jacobian[[0, 2]] = [[turned, -turned, turned], [turned, turned, -turned]]
@@ -389,13 +390,13 @@ def test_impacts_that_die_out_leave_the_slip_of_others_alone():
     solution, after = collide(jacobian, np.eye(3), u, friction=[0.0, mu], restitution=0.05)
     assert solution.events > 20
     assert (jacobian @ u)[3] > 0.0
-    assert (jacobian @ after)[3] > 0.1  # it slides on
+    assert (jacobian @ after)[3] > 0.1  # it keeps sliding
     assert solution.impulse[:, 2] == pytest.approx(impulse, abs=1e-9)
     assert after == pytest.approx(u + push @ impulse, abs=1e-9)
 
 
-def test_what_comes_to_rest_at_once_does_so_at_all_contacts():
-    # slip at three contacts and an approach end together; in other coordinates rounding is another
+def test_simultaneous_stop_of_all_contacts_in_any_coordinates():
+    # slip at three contacts and an approach end at the same time; the coordinates change rounding errors only
     jacobian = np.array(
         [
             *([-0.0513, 1.4280, -0.1032], [0.5254, 0.2257, -1.2808], [0.7010, 1.2363, -1.7537]),
@@ -412,8 +413,8 @@ def test_what_comes_to_rest_at_once_does_so_at_all_contacts():
         assert np.abs(after).max() < 1e-12
 
 
-def test_slips_that_have_just_begun_do_not_decide_by_how_fast_they_turn():
-    # a body that stops at four pressed contacts at once, and goes on from there: it did so by chance
+def test_small_perturbations_after_simultaneous_stop_have_small_effects():
+    # a body comes to rest at four loaded contacts at once, and moves again afterwards
     jacobian = np.array(
         [
             *(
@@ -458,9 +459,9 @@ def test_slips_that_have_just_begun_do_not_decide_by_how_fast_they_turn():
 
 @pytest.mark.parametrize("policy", ["sequence", "any"])
 @pytest.mark.parametrize("e", [0.0, 0.5, [0.2, 0.9]])
-def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):
-    # a slot that narrows by two degrees: bounces from side to side turn the velocity hardly, so that they go
-    # on by the ten thousands; all of them leave what J v = 0 has, and nothing else lasts
+def test_infinite_sequence_of_impacts_reaches_its_limit(policy, e):
+    # in a slot that narrows by 2°, tens of thousands of bounces hardly change the direction of the velocity;
+    # in the limit the normal velocities vanish
     turn = math.radians(1.0)
     jacobian = np.zeros((6, 3))
     jacobian[2], jacobian[5] = (
@@ -482,8 +483,8 @@ def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):
 
 
 @pytest.mark.parametrize("seed", [3, 17, 29])
-def test_the_numbering_of_contacts_does_not_matter_to_the_bit(seed):
-    jacobian, inverse, u, mu, e = draw(seed)
+def test_permuted_contacts_give_bitwise_equal_results(seed):
+    jacobian, inverse, u, mu, e = random_robot(seed)
     n = len(mu)
     delassus, velocity = jacobian @ inverse @ jacobian.T, (jacobian @ u).reshape(n, 3)
     delassus = 0.5 * (delassus + delassus.T)
@@ -502,7 +503,7 @@ def test_the_numbering_of_contacts_does_not_matter_to_the_bit(seed):
 
 
 def test_scaling_of_speeds_and_masses():
-    jacobian, inverse, u, mu, e = draw(11)
+    jacobian, inverse, u, mu, e = random_robot(11)
     _, after = collide(jacobian, inverse, u, friction=mu, restitution=e)
     _, faster = collide(jacobian, inverse, 7.0 * u, friction=mu, restitution=e)
     _, heavier = collide(jacobian, inverse / 13.0, u, friction=mu, restitution=e)
@@ -511,7 +512,7 @@ def test_scaling_of_speeds_and_masses():
 
 
 @pytest.mark.parametrize("seed", [86, 204, 218])
-def test_grains_of_dust_collide_as_stones_do(seed):
+def test_scaling_of_masses_by_a_power_of_two_is_exact(seed):
     rng, n = np.random.default_rng(seed), 4
     jacobian = rng.normal(size=(3 * n, 6))
     w, v = jacobian @ jacobian.T, (jacobian @ rng.normal(size=6)).reshape(n, 3)
@@ -527,8 +528,8 @@ def test_grains_of_dust_collide_as_stones_do(seed):
     assert [part.end * scale for part in dust.segments[0]] == [part.end for part in stones.segments[0]]
 
 
-def test_a_contact_split_in_two_is_one():
-    jacobian, inverse, u, mu, e = draw(5)
+def test_splitting_a_contact_into_two_of_half_stiffness_changes_nothing():
+    jacobian, inverse, u, mu, e = random_robot(5)
     mu, e = mu[:2], np.array([0.5, 0.7])
     whole, after = collide(jacobian[:6], inverse, u, friction=mu, restitution=e)
     rows = np.vstack([jacobian[:6], jacobian[:3]])
@@ -542,8 +543,8 @@ def test_a_contact_split_in_two_is_one():
     assert whole.events > 0
 
 
-def test_what_does_not_feel_each_other_does_not_meet():
-    first, second = draw(21), draw(22)
+def test_uncoupled_impacts_are_independent():
+    first, second = random_robot(21), random_robot(22)
     together = [
         np.block([[a, np.zeros((len(a), b.shape[1]))], [np.zeros((len(b), a.shape[1])), b]])
         for a, b in zip(first[:2], second[:2], strict=True)
@@ -556,7 +557,7 @@ def test_what_does_not_feel_each_other_does_not_meet():
 
 
 def test_error_falls_with_rtol():
-    jacobian, inverse, u, mu, e = draw(3)
+    jacobian, inverse, u, mu, e = random_robot(3)
     exact, _ = collide(jacobian, inverse, u, friction=mu, restitution=e)
     errors = []
     for rtol in (1e-2, 1e-5, 1e-9):
@@ -569,7 +570,7 @@ def test_error_falls_with_rtol():
     assert errors[2] < 1e-8
 
 
-def test_story_and_path_of_each_contact():
+def test_segments_and_path_of_each_contact():
     jacobian, inverse = row_of_balls(3)
     solution, _ = collide(jacobian, inverse, np.array([1.0, 0, 0]), restitution=0.5, record=True)
     for j, segments in enumerate(solution.segments):
@@ -588,7 +589,7 @@ def test_story_and_path_of_each_contact():
     assert part.work.total == pytest.approx(solution.work.total[1], abs=0)
 
 
-def test_the_other_policies():
+def test_newtons_cradle_by_the_other_policies():
     problem = ImpactProblem(*_cradle_of("poisson"))
     assert _balls_after(solve_impact(problem, simultaneous="together")) == pytest.approx(
         (-1 / 3, 2 / 3, 2 / 3), abs=1e-9
@@ -609,8 +610,8 @@ def _balls_after(solution):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_together_meets_coulombs_law(seed):
-    jacobian, inverse, u, mu, _ = draw(seed)
+def test_policy_together_satisfies_coulombs_law(seed):
+    jacobian, inverse, u, mu, _ = random_robot(seed)
     n = len(mu)
     w = jacobian @ inverse @ jacobian.T
     v = (jacobian @ u).reshape(n, 3)
@@ -627,8 +628,8 @@ def test_together_meets_coulombs_law(seed):
             )
 
 
-def test_a_law_that_waves_do_not_have_is_told():
-    for law, notes in (("newton", 1), ("poisson", 0)):  # the default is no choice
+def test_replaced_restitution_law_is_noted():
+    for law, notes in (("newton", 1), ("poisson", 0)):  # Poisson's law is the default, so no note is given
         solution = solve_impact(ImpactProblem(*_cradle_of(law)))
         assert solution.law == "energetic"
         assert len(solution.notes) == notes
@@ -674,15 +675,15 @@ def test_bad_policies():
         solve_impact(rough, simultaneous="reflect")
 
 
-def test_an_approach_that_nothing_can_stop():
+def test_unstoppable_approach_raises():
     w = np.zeros((6, 6))
     w[2, 2] = 1.0
     with pytest.raises(pinimpact.UnstoppableApproachError, match="contact"):
         solve_impact(ImpactProblem(w, [[0, 0, -1.0], [0, 0, -2.0]], 0.0, 0.5, "energetic"))
 
 
-def test_passes_that_say_nothing_are_no_answer():
-    # contact 0 cannot be stopped; a pass by steps leaves half of its approach
+def test_unstoppable_approach_raises_after_inconclusive_steps():
+    # contact 0 cannot be stopped; integration by steps leaves half of its approach velocity
     rows = np.array([[-2, 1], [0, -2], [-1, 1], [0, -1], [-1, -2], [1, 1]], dtype=float)
     start = [[0.0, 2.0, -1.0], [0.0, 0.0, 0.0]]
     with pytest.raises(pinimpact.UnstoppableApproachError, match="contact 0"):
@@ -692,15 +693,15 @@ def test_passes_that_say_nothing_are_no_answer():
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 @pytest.mark.parametrize("restitution", [0.6, 0.01])
 @pytest.mark.parametrize("seed", [3, 11, 22])
-def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, restitution, exponent):
-    # short steps and series of events are two integrations of one model
-    jacobian, inverse, u, mu, _ = draw(seed)
+def test_integration_by_steps_agrees_with_series_of_events(monkeypatch, seed, restitution, exponent):
+    # two integrations of the same model
+    jacobian, inverse, u, mu, _ = random_robot(seed)
     options = {"friction": mu, "restitution": restitution, "simultaneous": "propagate", "exponent": exponent}
     by_events, _ = collide(jacobian, inverse, u, **options)
     monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
     by_steps, after = collide(jacobian, inverse, u, **options)
     assert "integrated by adaptive steps" in by_steps.notes[-1]
-    # a step may miss 1e-11; it turns where it changes its stiffness, or little restitution magnifies it
+    # a step has an error of up to 1e-11, which changes of stiffness and small restitution amplify
     largest = np.abs(jacobian @ u).max()
     assert by_steps.velocity == pytest.approx(by_events.velocity, abs=2e-8 * largest)
     mass = np.linalg.inv(inverse)
@@ -709,30 +710,30 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, restituti
 
 
 @numba.njit
-def find_least(rows, restitution, x, part, y, v):
-    """Find the minimum (14.10) for one stiff contact without friction, fully loaded at x (1,)."""
+def call_minimize(rows, restitution, x, part, y, v):
+    """Call `minimize`, equation (14.10), for one frictionless stiff contact fully loaded at x (1,)."""
     none = np.zeros(1)
     springs, stiff = Springs(x, x, restitution, np.ones(1), 1.0), np.ones(1, dtype=np.bool_)
     return minimize(rows, none, 1e-9, springs, stiff, x, part, none, y, v)
 
 
-def test_stages_of_stiff_contacts_are_found_as_well_as_rounding_allows():
-    # one contact that unloads by d = part * v / e^2 of x: y = part * (x - d) in closed form
+def test_stage_of_stiff_contact_agrees_with_closed_form():
+    # closed form: the contact unloads from x by d = part * v / e^2, and y = part * (x - d)
     rng, rows = np.random.default_rng(0), np.array([[0.0], [0.0], [1.0]])
     for _ in range(100):
         e, x = np.array([10.0 ** rng.uniform(-6.0, -4.0)]), rng.uniform(0.5, 1.5, 1)
         part, d = e[0] * 10.0 ** rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0) * x[0]
         speed, y = d * e[0] ** 2 / part, np.zeros(1)
         v = np.array([0.0, 0.0, speed - part * (x[0] - d)])
-        assert find_least(rows, e, x, part, y, v)
+        assert call_minimize(rows, e, x, part, y, v)
         assert v[2] == pytest.approx(speed, abs=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
 @pytest.mark.parametrize("seed", [11, 23, 44])
-def test_the_error_of_a_limit_is_not_that_of_its_first_coefficient(monkeypatch, seed):
-    # with few steps to spend, e = 0 is extrapolated from three coefficients: from less no error is known
-    jacobian, inverse, u, mu, _ = draw(seed)
+def test_noted_error_of_extrapolation_to_zero_restitution(monkeypatch, seed):
+    # with few steps allowed, e = 0 is extrapolated from three coefficients, the minimum for an error estimate
+    jacobian, inverse, u, mu, _ = random_robot(seed)
     options = {"friction": mu, "restitution": 0.0, "simultaneous": "propagate"}
     by_events, _ = collide(jacobian, inverse, u, **options)
     monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
@@ -744,8 +745,8 @@ def test_the_error_of_a_limit_is_not_that_of_its_first_coefficient(monkeypatch, 
 
 
 @pytest.mark.parametrize(("restitution", "most"), [(0.5, 200), (0.0, 400)])
-def test_fewer_steps_than_the_usual_accuracy_needs_give_less_accuracy(monkeypatch, restitution, most):
-    jacobian, inverse, u, mu, _ = draw(11)
+def test_fewer_steps_than_required_reduce_noted_accuracy(monkeypatch, restitution, most):
+    jacobian, inverse, u, mu, _ = random_robot(11)
     options = {"friction": mu, "restitution": restitution, "simultaneous": "propagate"}
     by_events, _ = collide(jacobian, inverse, u, **options)
     monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
@@ -761,8 +762,8 @@ def test_fewer_steps_than_the_usual_accuracy_needs_give_less_accuracy(monkeypatc
 
 
 @pytest.mark.parametrize("seed", [13, 27, 28, 50])
-def test_what_friction_locks_ends_at_rest(monkeypatch, seed):
-    # it can: there are forces within the cones that hold each other; and steps do not creep on for ever
+def test_contacts_locked_by_friction_come_to_rest(monkeypatch, seed):
+    # forces within the friction cones can balance each other; the number of steps stays bounded
     monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
     rng = np.random.default_rng(seed)
     jacobian, u = rng.normal(size=(12, 3)), rng.normal(size=3)
@@ -779,8 +780,8 @@ def test_what_friction_locks_ends_at_rest(monkeypatch, seed):
     ("seed", "friction"),
     [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)],
 )
-def test_no_restitution_is_the_limit_of_little(seed, friction):
-    # bodies on corners where a force falls below half of its peak: were it held, answers would be off by 1e-2
+def test_zero_restitution_is_limit_of_small_restitution(seed, friction):
+    # at some corner the force decreases to less than half of its peak; errors are 1e-2 if it is kept constant
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(int(rng.integers(3, 6)), 3))
     rows = []
@@ -793,12 +794,12 @@ def test_no_restitution_is_the_limit_of_little(seed, friction):
         collide(jacobian, inverse, u, friction=friction, restitution=e, simultaneous="propagate")[1]
         for e in (0.0, 2e-3, 1e-3)
     )
-    # of the largest velocity; terms in e² are left
+    # relative to the largest velocity; extrapolation leaves terms in e²
     assert none == pytest.approx(2.0 * less - more, abs=1e-5 * np.abs(u).max())
 
 
-def struck_while_it_stands(seed):
-    """W and v of a body that stands on corners, then of where another one strikes it, and a coefficient μ."""
+def impact_on_standing_body(seed):
+    """Return W, v and μ of a body that stands on its corners and is struck by another one (last contact)."""
     rng = np.random.default_rng(seed)
     bodies, corners = int(rng.integers(1, 3)), int(rng.integers(2, 5))
     assert bodies == 2
@@ -826,9 +827,9 @@ def struck_while_it_stands(seed):
 
 
 @pytest.mark.parametrize("seed", [2746, 4547, 4897])
-def test_rounding_does_not_choose_how_corners_share_their_friction(seed):
-    """Corners that stand can hold in several ways; which one must not depend on 1e-16 m/s."""
-    delassus, velocity, friction = struck_while_it_stands(seed)
+def test_friction_distribution_does_not_depend_on_rounding(seed):
+    """Sticking forces at the corners are not unique, and must not depend on velocities of 1e-16 m/s."""
+    delassus, velocity, friction = impact_on_standing_body(seed)
     after = []
     for noise in (None, 1, 2, 3):
         nearly = velocity.copy()
@@ -840,8 +841,8 @@ def test_rounding_does_not_choose_how_corners_share_their_friction(seed):
         assert one == pytest.approx(after[0], abs=1e-7 * np.abs(velocity).max())
 
 
-def test_no_restitution_is_the_limit_of_little_after_hundreds_of_events():
-    # four corners rattle 600 times and then two of them separate, where a plastic impact would stop all
+def test_zero_restitution_is_limit_after_hundreds_of_events():
+    # four corners rattle 600 times, then two of them separate; a plastic impact would stop all of them
     rows = []
     for x, y in ((0.152, 0.084), (0.152, -0.084), (-0.185, 0.084), (-0.185, -0.084)):
         rows += [[1, 0, 0, 0, -0.047, -y], [0, 1, 0, 0.047, 0, x], [0, 0, 1, y, -x, 0]]
@@ -851,15 +852,15 @@ def test_no_restitution_is_the_limit_of_little_after_hundreds_of_events():
         collide(np.array(rows), inverse, u, friction=0.582, restitution=e)[0].velocity
         for e in (0.0, 2e-3, 1e-3)
     )
-    assert none == pytest.approx(2.0 * less - more, abs=1e-3)  # terms in e² are left
+    assert none == pytest.approx(2.0 * less - more, abs=1e-3)  # extrapolation leaves terms in e²
     assert none[:, 2].max() > 0.02
 
 
 @pytest.mark.parametrize("e", [0.0, 0.2])
 @pytest.mark.parametrize("tilting", [0.0, 1e-13, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-2])
-def test_a_jump_is_told_where_contacts_peak_together(e, tilting):
-    # a body on four corners, higher at one end: of the two at the lower end the first to peak separates first
-    # if it peaks so much earlier that it has separated before the other one does: in a time of order e
+def test_near_jump_is_flagged_if_contacts_reach_peak_compression_together(e, tilting):
+    # a body on four corners, higher at one end. Of the two corners at the lower end, the first one at peak
+    # compression separates first if it separates before the other one reaches its peak, a time of order e.
     rows = np.zeros((12, 3))
     rows[2::3] = [(1, 0.13, -0.176), (1, -0.13, -0.176), (1, 0.13, 0.164), (1, -0.13, 0.164)]
     inverse, flagged = np.diag([1, 1 / 0.007, 1 / 0.011]), e == 0.0 and tilting < 1e-3
@@ -871,13 +872,13 @@ def test_a_jump_is_told_where_contacts_peak_together(e, tilting):
     apart = max(np.abs(other.velocity - one.velocity).max() for other in (near, mirrored))
     if flagged:
         assert apart > 1e-3
-    else:  # the mirrored one is as far as its data are
+    else:  # the mirrored solution differs as its data do
         assert np.abs(near.velocity - one.velocity).max() < 1e-6
         assert one.velocity[[1, 0, 3, 2]] == pytest.approx(mirrored.velocity, abs=1e-6)
 
 
-def test_a_cube_lands_flat_as_its_planar_twin_does():
-    # all four corners stick in many ways at once; two of double stiffness are the same body in the plane
+def test_flat_landing_of_cube_agrees_with_planar_body():
+    # sticking forces at four corners are not unique; a planar body with two corners is equivalent
     half = 0.05
     rows = []
     for x, y in ((-half, -half), (-half, half), (half, -half), (half, half)):
@@ -890,11 +891,11 @@ def test_a_cube_lands_flat_as_its_planar_twin_does():
     assert cube[[0, 2]] == pytest.approx(planar[:2], abs=1e-6)
     assert cube[4] == pytest.approx(-planar[2], abs=2e-5)  # 1e-6 of 1 m/s, 5 cm from the centre
     assert cube[[1, 3, 5]] == pytest.approx(0.0, abs=2e-5)
-    assert cube[[0, 2, 4]] == pytest.approx((0.0063, 0.5509, -0.8746), abs=5e-5)  # by another program
+    assert cube[[0, 2, 4]] == pytest.approx((0.0063, 0.5509, -0.8746), abs=5e-5)  # by an independent program
 
 
-def test_what_waves_cannot_stop_is_no_reason_to_refuse_what_can_be_stopped():
-    """A foot with e > 0 lands beside two at rest with e = 0 that hardly feel it."""
+def test_stoppable_approach_beside_weakly_coupled_contacts_at_rest():
+    """A foot with e > 0 lands beside two weakly coupled feet at rest with e = 0."""
     delassus = np.array(
         [
             [18.82, 1.787, 14.241, 0.02, 0.024, 0.008, 0.014, -0.012, 0.033],
@@ -918,7 +919,7 @@ def test_what_waves_cannot_stop_is_no_reason_to_refuse_what_can_be_stopped():
     assert solution.work.total.sum() < 0.0
 
 
-def test_what_one_asks_for_with_a_policy_is_compiled_though_the_policy_is_there(monkeypatch):
+def test_extra_kernels_are_compiled_although_policy_is_compiled(monkeypatch):
     compiled = []
     monkeypatch.setattr(simultaneous, "_compiled", set())
     monkeypatch.setattr(jit, "compile_all", lambda *calls: compiled.extend(kernel for (kernel,) in calls))
@@ -932,8 +933,8 @@ def test_what_one_asks_for_with_a_policy_is_compiled_though_the_policy_is_there(
     assert not compiled
 
 
-def test_the_noted_accuracy_of_steps_counts_what_the_cones_take_away():
-    # impulses extrapolated to e = 0 leave their cones here; back within, they leave an approach
+def test_noted_accuracy_includes_projection_onto_friction_cones():
+    # impulses extrapolated to e = 0 are outside their cones; after projection an approach velocity remains
     rng = np.random.default_rng(8269)
     rows = int(rng.integers(2, 4))
     jacobian, u, mu = rng.normal(size=(12, rows)), rng.normal(size=rows), rng.uniform(0.3, 1.0, 4)
@@ -945,7 +946,7 @@ def test_the_noted_accuracy_of_steps_counts_what_the_cones_take_away():
 
 
 def rocking_foot(seed):
-    """W, velocities, and a motion of no body, of three corners of a foot and a stop of the joint above it."""
+    """Return W and v of three corners of a foot and a joint stop, and slip that no motion of the foot has."""
     rng = np.random.default_rng(seed)
     rows = np.zeros((12, 7))
     for i, (x, y, z) in enumerate([(0.1, 0.05, -0.1), (0.1, -0.05, -0.1), (-0.1, 0.03, -0.1)]):
@@ -954,7 +955,7 @@ def rocking_foot(seed):
     rows[11, 6] = 1.0
     root = np.diag([1, 1, 1, 0.1, 0.1, 0.1, 0.1]) + rng.normal(size=(7, 7)) * 0.03
     w = rows @ np.linalg.inv(root @ root.T) @ rows.T
-    # it turns about two of its corners onto the third
+    # the foot rotates about two corners towards the third
     velocity = rows @ np.linalg.svd(np.vstack([rows[:6], rows[11]]))[2][-1]
     velocity *= -np.sign(velocity[8]) / np.abs(velocity).max()
     left = np.linalg.svd(rows[:9, :6])[0][:, 6:]
@@ -964,8 +965,8 @@ def rocking_foot(seed):
 
 
 @pytest.mark.parametrize("seed", [3, 84])
-def test_what_rounding_leaves_of_slip_that_no_impulse_changes_is_none(seed):
-    # velocities of corners are differences of larger ones, and some 1e-11 of them is of no motion of the foot
+def test_rounding_noise_in_uncontrollable_slip_is_ignored(seed):
+    # rounding errors of corner velocities, 1e-11, may be incompatible with any motion of the foot
     w, velocity, noise = rocking_foot(seed)
     mu, e = np.array([0.4, 0.4, 0.4, 0.0]), np.array([0.9, 0.9, 0.9, 0.0])
     known, noisy = (

@@ -1,4 +1,4 @@
-"""Time stepping against closed forms, the event-driven scheme, and another program's domino waves."""
+"""Time stepping: against closed forms, the event-driven scheme, and domino waves of another program."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ def step(scene, q0, v0, duration, dt, **options):
 
 
 def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0, solid=None):
-    """Free boxes, each on the floor and each on the next; `solid` is another geometry of the same shape."""
+    """Return a scene of free boxes with contacts at the floor and between successive boxes.
+
+    `solid` replaces the box by another geometry of the same shape.
+    """
     model, shapes = pin.Model(), pin.GeometryModel()
     size = np.array(size)
     inertia = mass / 12.0 * np.diag(np.sum(size**2) - size**2)
@@ -60,7 +63,7 @@ def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0, solid=None
     return Scene(pin.RobotWrapper(model, shapes, shapes), contacts)
 
 
-def test_a_bouncing_ball_meets_its_times_and_comes_to_rest():
+def test_impact_times_and_speeds_of_a_bouncing_ball():
     e, height = 0.5, 1.0
     scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1, restitution=e)])
     trajectory = step(scene, [0, 0, 0.1 + height, *UP], np.zeros(6), 2.0, 1e-2)
@@ -77,7 +80,7 @@ def test_a_bouncing_ball_meets_its_times_and_comes_to_rest():
 
 
 @pytest.mark.parametrize("corners", [3, 4, 8])
-def test_a_box_slides_to_rest_after_its_stopping_distance(corners):
+def test_box_slides_to_rest_after_stopping_distance(corners):
     mu, speed = 0.5, 1.0
     model, contacts = box_on(corners, mu=mu)
     scene, q0 = Scene(model, contacts), [0, 0, 0.1, *UP]
@@ -102,13 +105,13 @@ def test_free_flight_is_of_second_order():
 
 
 @pytest.mark.parametrize("dt", [0.2, 1e12])
-def test_a_run_shorter_than_a_step_is_one_step(dt):
+def test_duration_shorter_than_dt_takes_one_step(dt):
     motion = step(Scene(ball()), [0, 0, 1.0, *UP], np.zeros(6), 0.1, dt)
     assert motion.t.tolist() == [0.0, 0.1]
     assert motion.q[-1, 2] == pytest.approx(1.0 - 0.5 * G * 0.1**2, rel=1e-12)
 
 
-def test_driven_and_damped_joints_follow_the_other_scheme():
+def test_driven_damped_joint_agrees_with_event_driven_scheme():
     model = pendulum()
     model.damping = np.array([0.2])
     scene = Scene(model, control=JointPD(kp=200.0, kd=5.0, q_ref=[1.0], limits=15.0))
@@ -117,12 +120,12 @@ def test_driven_and_damped_joints_follow_the_other_scheme():
     for dt in (2e-3, 1e-3):
         trajectory = step(scene, [0.0], [2.0], 0.5, dt)
         errors.append(np.abs(trajectory.q[-1] - exact.q[-1]).max())
-        assert abs(trajectory.energy.residual[-1]) < 2.0 * dt  # of 20 J that the drive gives and takes
+        assert abs(trajectory.energy.residual[-1]) < 2.0 * dt  # the drive exchanges 20 J
     assert errors[1] < 1e-3
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_dry_friction_holds_a_joint_up_to_its_bound():
+def test_dry_friction_holds_joint_up_to_its_bound():
     for torque, holds in ((0.9, True), (1.1, False)):
         model = pendulum()
         model.gravity = pin.Motion.Zero()
@@ -133,7 +136,7 @@ def test_dry_friction_holds_a_joint_up_to_its_bound():
         assert trajectory.q[-1, 0] == pytest.approx(moved, abs=1e-6)
 
 
-def test_a_joint_limit_bounces_by_its_restitution():
+def test_joint_rebounds_from_limit_with_restitution():
     model = slider()
     model.gravity = pin.Motion.Zero()
     model.lowerPositionLimit[0], model.upperPositionLimit[0] = 0.0, 10.0
@@ -148,11 +151,11 @@ def test_a_joint_limit_bounces_by_its_restitution():
 
 @pytest.mark.parametrize("gravity", [0.0, 10.0])
 @pytest.mark.parametrize("apart", [0.001, 0.005, 0.007, 0.05])
-def test_what_arrives_at_the_very_end_of_a_step_bounces(gravity, apart):
-    """Round numbers: the gap closes after a whole number of steps, but for rounding."""
+def test_impact_at_the_end_of_a_step_rebounds(gravity, apart):
+    """The gap closes after a whole number of steps, up to rounding."""
     model = slider()
     model.gravity = pin.Motion(np.array([0.0, 0.0, -gravity]), np.zeros(3))
-    fall = 0.5 * gravity * apart**2  # in the time until then, at 1 m/s
+    fall = 0.5 * gravity * apart**2  # fall until impact, which is after `apart` seconds at 1 m/s
     scene = Scene(model, [Contact("point", Plane(), restitution=0.5)])
     trajectory = step(scene, [0.0, 0.0, apart + fall], [0.0, 0.0, -1.0], apart + 2e-3, 1e-3)
     speed = 1.0 + gravity * apart
@@ -162,7 +165,10 @@ def test_what_arrives_at_the_very_end_of_a_step_bounces(gravity, apart):
 
 
 def linkage(lengths):
-    """A chain of rods and a crank of 1 m at x = 2 m, closed by a held contact; "knee" ends the second rod."""
+    """Return a closed linkage (a chain of rods, and a crank of 1 m at x = 2 m) and its held contact.
+
+    The frame "knee" is at the end of the second rod.
+    """
     model, joint, place = pin.Model(), 0, 0.0
     for k, length in enumerate((*lengths, 1.0)):
         joint, place = (joint, place) if k < len(lengths) else (0, 2.0)
@@ -179,7 +185,7 @@ def linkage(lengths):
 
 
 @pytest.mark.parametrize("by_limit", [False, True])
-def test_a_closed_loop_stays_closed_where_overlap_is_taken_away(by_limit):
+def test_closed_loop_stays_closed_when_penetration_is_corrected(by_limit):
     model, loop = linkage([1.0, 2.0])  # a parallelogram
     along, stop = np.array([1.0, -1.0, 1.0]), np.arcsin(0.9)
     contacts = [] if by_limit else [Contact("knee", Plane((0.0, 0.0, -0.9)))]
@@ -191,8 +197,8 @@ def test_a_closed_loop_stays_closed_where_overlap_is_taken_away(by_limit):
 
 
 @pytest.mark.parametrize("end", [0.1, 0.101])
-def test_the_derivative_of_a_closed_loop_where_overlap_is_taken_away(end):
-    """Of five bars, after the step in which the knee arrives, and where it leaves, but for rounding."""
+def test_derivative_of_closed_loop_when_penetration_is_corrected(end):
+    """A five-bar linkage, after the step in which its knee hits the plane and after the next one."""
     model, loop = linkage([1.0, 1.3, 1.3])
     turn = np.arccos(1.0 / 1.3)
     q0 = np.array([0.4, turn - 0.4, -2.0 * turn, 0.4])
@@ -209,8 +215,8 @@ def test_the_derivative_of_a_closed_loop_where_overlap_is_taken_away(end):
     assert found[4:] == pytest.approx(slope[4:], abs=1e-6)
 
 
-def test_an_impulse_of_rounding_errors_closes_nothing_in_derivatives():
-    """A weight on a crank lifts the coupler, which has just landed, while the held contact bears a load."""
+def test_derivative_ignores_contact_whose_impulse_is_rounding_error():
+    """A weight on a crank lifts the coupler after its impact, while the held contact is loaded."""
     model, loop = linkage([1.0, 2.0])
     bob = model.addJoint(3, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.2])), "bob")
     weight = pin.Inertia(3.0, np.array([0.1, 0.0, 0.4]), 0.1 * np.eye(3))
@@ -227,8 +233,8 @@ def test_an_impulse_of_rounding_errors_closes_nothing_in_derivatives():
 
 @pytest.mark.parametrize("apart", [1e-9, 1e-6, 5e-5])
 @pytest.mark.parametrize("dt", [1e-2, 1e-3])
-def test_what_is_nearly_closed_where_a_step_begins_bounces(apart, dt):
-    """Gaps are extrapolated from the midpoint: at the start of the step this one seems to be closed."""
+def test_small_gap_at_start_of_step_rebounds(apart, dt):
+    """Gaps are extrapolated from the midpoint of the step, so this gap appears closed at its start."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(
@@ -245,8 +251,8 @@ def test_what_is_nearly_closed_where_a_step_begins_bounces(apart, dt):
 
 
 @pytest.mark.parametrize("height", [0.12, 0.123, 0.126])
-def test_a_point_of_a_body_that_spins_fast_bounces_elastically(height):
-    """The tip goes along a circle, 3.4 degrees in a step: a straight path from the midpoint is too short."""
+def test_tip_of_fast_spinning_body_rebounds_elastically(height):
+    """The tip moves along a circle, 3.4° per step: a straight path from the midpoint would be too short."""
     inertia = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
     model = free_body(inertia, [(0.1, 0.0, 0.0)])
     model.gravity.linear[:] = 0.0
@@ -263,8 +269,8 @@ def test_a_point_of_a_body_that_spins_fast_bounces_elastically(height):
 @pytest.mark.parametrize(
     "solid", [coal.Sphere(0.005), coal.Box(0.01, 0.01, 0.01), coal.Capsule(0.004, 0.01), None]
 )
-def test_nothing_passes_through_what_is_thinner_than_its_path_in_a_step(solid, restitution, speed):
-    """A plate of 2 mm, or a ball of 1 cm; in a step of 1 ms bodies move by up to 10 cm."""
+def test_no_tunnelling_through_obstacles_thinner_than_a_step(solid, restitution, speed):
+    """The obstacle is a plate of 2 mm or a ball of 1 cm; bodies move up to 10 cm in a step of 1 ms."""
     model = free_body(pin.Inertia.FromSphere(0.1, 0.005))
     model.gravity.linear[:] = 0.0
     shapes = pin.GeometryModel()
@@ -278,13 +284,13 @@ def test_nothing_passes_through_what_is_thinner_than_its_path_in_a_step(solid, r
     for start in (0.1, 0.1037, 0.1071):
         q, v = [-start, 0, 0, 0, 0, 0, 1], [speed, 0, 0, 0, 0, 0]
         trajectory = step(scene, q, v, 0.3 / speed, 1e-3)
-        # overlap is closed within a step, at less than the speed of rest
+        # penetration is corrected within a step, at less than the resting speed
         assert trajectory.v[-1, 0] == pytest.approx(-restitution * speed, abs=1e-6)
 
 
 @pytest.mark.parametrize("first", [1e-7, 1e-4])
-def test_what_begins_to_move_slowly_is_not_at_rest(first):
-    """After a short step its speed is below all that counts: 1 nm/s."""
+def test_slow_onset_of_sliding_is_not_treated_as_rest(first):
+    """After the short first step the speed (≥ 1 nm/s) is below the resting speed."""
     acceleration = 0.01
     model = slider()
     model.gravity.linear = np.array([acceleration + 0.2 * G, 0.0, -G])
@@ -296,7 +302,7 @@ def test_what_begins_to_move_slowly_is_not_at_rest(first):
 
 
 @pytest.mark.parametrize(("friction", "sliding"), [(1.0, 0.0), (0.0, 1.0)])
-def test_an_impact_without_restitution_has_its_own_friction(friction, sliding):
+def test_plastic_impact_uses_friction_not_sliding_friction(friction, sliding):
     model = slider()
     contact = Contact(model.frames[-1].name, FLOOR, friction=friction, sliding_friction=sliding)
     height, after = 0.2, 0.01
@@ -306,7 +312,7 @@ def test_an_impact_without_restitution_has_its_own_friction(friction, sliding):
     assert trajectory.v[-1] == pytest.approx([speed, 0.0, 0.0], abs=1e-9)
 
 
-def test_a_locked_joint_takes_no_part_in_an_impact_without_restitution():
+def test_locked_joint_keeps_its_velocity_in_plastic_impact():
     robot = load_robot("two_link_arm")
     q = np.array([-0.2, 0.3])
     tip = Contact(robot.model.frames[-1].name, Plane())
@@ -318,7 +324,7 @@ def test_a_locked_joint_takes_no_part_in_an_impact_without_restitution():
     assert trajectory.impacts[0].v_after[1] == trajectory.impacts[0].v_before[1]
 
 
-def test_two_shapes_a_kilometre_apart_do_not_collide():
+def test_shapes_a_kilometre_apart_do_not_collide():
     model, shapes, here = pin.Model(), pin.GeometryModel(), pin.SE3.Identity()
     for name in ("fallen", "bouncing"):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), here, name)
@@ -336,7 +342,7 @@ def test_two_shapes_a_kilometre_apart_do_not_collide():
     assert [impact.source for impact in trajectory.impacts] == ["bouncing on plane"]
 
 
-def test_a_held_rod_bounces():
+def test_rod_with_held_end_rebounds():
     inertia = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.eye(3) / 12.0)
     hinge = Contact("tip0", Plane((0.0, 0.0, 0.5)))
     end = Contact("tip1", FLOOR, restitution=0.5)
@@ -350,7 +356,7 @@ def test_a_held_rod_bounces():
     assert np.isfinite(trajectory.sensitivity(0.5).state).all()
 
 
-def test_a_stack_that_is_aligned_stands_and_shares_its_load_alike():
+def test_aligned_stack_stands_with_equal_corner_forces():
     count, mass = 5, 1.0
     scene = boxes(count, (0.2, 0.2, 0.1), mass)
     q0 = np.tile([0, 0, 0.05, *UP], count)
@@ -374,7 +380,7 @@ def test_boxes_dropped_together_land_and_stand():
 
 
 @pytest.mark.slow
-def test_dominoes_fall_when_another_program_says():
+def test_domino_times_agree_with_another_program():
     # Moreau–Jean steps of 1 ms with coal's patches and Pinocchio's ADMM: times of a lean of 0.3 rad
     wanted = [0.054, 0.144, 0.206, 0.253, 0.293]
     thick, wide, high, rate = 0.008, 0.024, 0.048, 6.0
@@ -389,7 +395,7 @@ def test_dominoes_fall_when_another_program_says():
     np.testing.assert_allclose(times, wanted, atol=2e-3)
 
 
-def test_a_quadruped_lands_as_in_the_other_scheme():
+def test_quadruped_landing_agrees_with_event_driven_scheme():
     robot = load_robot("solo12")
     feet = [f"{leg}_FOOT" for leg in ("FL", "FR", "HL", "HR")]
     floor = [Contact(foot, FLOOR, friction=0.6) for foot in feet]
@@ -406,7 +412,7 @@ def test_a_quadruped_lands_as_in_the_other_scheme():
     assert errors[1] < errors[0]
 
 
-def test_an_event_ends_a_run_within_a_step():
+def test_terminal_event_ends_run_within_a_step():
     scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1)])
     low = Event(lambda t, q, v: q[2] - 1.0, terminal=True, name="low")
     scene = Scene(ball(), scene.contacts, events=[low])
@@ -415,7 +421,7 @@ def test_an_event_ends_a_run_within_a_step():
     assert trajectory.q[-1, 2] == pytest.approx(1.0, abs=1e-9)
 
 
-def test_what_is_no_scheme_or_step_is_refused():
+def test_unknown_scheme_and_zero_dt_raise():
     scene = Scene(pendulum())
     with pytest.raises(pinimpact.UnknownNameError, match=r"^scheme: 'stepping'"):
         simulate(scene, [0.0], [0.0], 0.1, scheme="stepping")
@@ -423,12 +429,12 @@ def test_what_is_no_scheme_or_step_is_refused():
         step(scene, [0.0], [0.0], 0.1, 0.0)
 
 
-def test_a_patch_has_the_corners_that_two_faces_share_and_their_gaps():
+def test_patch_has_corners_and_gaps_of_overlapping_faces():
     lower, upper = box((2.0, 2.0, 2.0)), box((1.0, 3.0, 1.0))
     turn = pin.rpy.rpyToMatrix(0.0, 1e-4, 0.0)
     found = patch(upper.at(turn, np.array([0.7, 0.0, 1.5001])), lower.at(np.eye(3), np.zeros(3)), 0.01)
     assert found is not None
-    # the edge of the lower box is below the tilted face of the upper one, whose normal counts
+    # the edge of the lower box is below the tilted face of the upper one, whose normal is used
     np.testing.assert_allclose(found.normal, turn[:, 2], atol=1e-12)
     order = np.lexsort((found.others[:, 1], found.others[:, 0]))
     corners, gaps = found.others[order], found.gaps[order]
@@ -439,7 +445,10 @@ def test_a_patch_has_the_corners_that_two_faces_share_and_their_gaps():
 
 
 def near_boxes(rng, alike):
-    """Return two boxes a little apart or a little overlapping, as placements and halves of their edges."""
+    """Return two boxes (axes, centre, half edges) that are 1 mm apart or overlap by up to 2 mm.
+
+    `alike` scales the random rotation between them; with 0 they are parallel.
+    """
     halves = rng.uniform(0.2, 1.0, (2, 3))
     turned = pin.exp3(rng.normal(size=3))
     other = turned @ pin.exp3(alike * rng.normal(size=3))
@@ -459,7 +468,7 @@ def near_boxes(rng, alike):
 
 
 def boxes_patch(one, other, within=1e-2):
-    """Return normal, gaps and the points of the first box, as the kernel finds them."""
+    """Return the normal, the gaps, and the points on the first box of the kernel `box_patch`."""
     (a, half_a), (b, half_b) = (
         (np.concatenate([turn.T.ravel(), center]), half) for turn, center, half in (one, other)
     )
@@ -471,28 +480,28 @@ def boxes_patch(one, other, within=1e-2):
 
 
 @pytest.mark.parametrize("alike", [0.0, 1e-4, 1.0])
-def test_patches_of_boxes_are_those_of_coals_distance_and_clipped_faces(alike):
+def test_box_patch_kernel_agrees_with_coal_and_clipped_faces(alike):
     rng, found = np.random.default_rng(5), 0
     for _ in range(300):
         one, other = near_boxes(rng, alike)
         normal, gaps, points = boxes_patch(one, other)
         right = patch(*(box(2.0 * half).at(turn, center) for turn, center, half in (one, other)), 1e-2)
         assert right is not None
-        # coal's normals are good to 1e-7 or so where shapes are apart
+        # coal's normals are accurate to about 1e-7 for shapes that are apart
         np.testing.assert_allclose(normal, right.normal, atol=1e-5)
         order, known = np.lexsort(points.T.round(5)), np.lexsort(right.points.T.round(5))
         np.testing.assert_allclose(gaps[order], right.gaps[known], atol=1e-6)
         np.testing.assert_allclose(points[order], right.points[known], atol=1e-5)
         found += len(gaps)
-        # the other way round: the same points, but for which of two parallel faces gives the normal
+        # exchanged boxes: the same points, except that the other of two parallel faces may define the normal
         turned, swapped, _ = boxes_patch(other, one)
         np.testing.assert_allclose(turned, -normal, atol=1e-3 * (alike > 0.0) + 1e-12)
         assert len(swapped) == len(gaps)
     assert found > (600 if alike < 1.0 else 300)
 
 
-def test_faces_with_sides_in_one_plane_share_four_corners_wherever_they_are():
-    """The rounding of such sides is no crossing of their edges, which might be anywhere along them."""
+def test_patch_of_faces_with_coplanar_sides_has_four_corners():
+    """Rounding errors of coplanar sides must not be taken for an intersection of edges."""
     rng, half = np.random.default_rng(3), np.array([0.3, 0.05, 0.025])
     for _ in range(200):
         turn, center = pin.exp3(rng.normal(size=3)), rng.normal(size=3)
@@ -507,7 +516,7 @@ def test_faces_with_sides_in_one_plane_share_four_corners_wherever_they_are():
 
 
 def redundant_problem(rng):
-    """Return a box, or two in a row, on many points under a random load."""
+    """Return mass matrix, Jacobian, free velocities and μ of one or two bodies with 4 to 8 contacts each."""
     bodies, points = rng.integers(1, 3), rng.integers(4, 9)
     m, nc = 6 * bodies, bodies * points
     mass = np.diag(np.tile([1.0, 1.0, 1.0, 0.02, 0.03, 0.04], bodies)) * rng.uniform(0.3, 3.0)
@@ -517,14 +526,14 @@ def redundant_problem(rng):
         x, y, z = rng.uniform(-1, 1), rng.uniform(-1, 1), -0.5
         rows = np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]])
         jacobian[3 * i : 3 * i + 3, 6 * body : 6 * body + 6] = rows
-        if i == nc - 1 and bodies == 2:  # of one body against the other
+        if i == nc - 1 and bodies == 2:  # between the two bodies
             jacobian[3 * i : 3 * i + 3, :6] = -rows
     free = jacobian @ (rng.normal(size=m) - np.tile([0, 0, 1.0, 0, 0, 0], bodies))
     return mass, jacobian, free, rng.uniform(0.0, 1.0, nc)
 
 
 def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=None):
-    """Fill the impulses of one island, and the course of its iterations; return the residual."""
+    """Solve one island; `impulse` and `course` are overwritten with results. Return the residual."""
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     tree = np.zeros(m, dtype=np.int64)
@@ -537,8 +546,8 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=Non
 
 
 @pytest.mark.parametrize("wrong", [1e30, 1e300, math.inf, math.nan])
-def test_a_beginning_that_is_far_off_is_left(wrong):
-    """It may lead to another solution where slip has several, but that one obeys the law too."""
+def test_solver_recovers_from_useless_initial_velocity(wrong):
+    """Where sliding has several solutions, any one may be returned; it must satisfy Coulomb's law."""
     rng, found = np.random.default_rng(11), 0
     for _ in range(20):
         mass, jacobian, free, mu = redundant_problem(rng)
@@ -556,14 +565,14 @@ def test_a_beginning_that_is_far_off_is_left(wrong):
     assert found > 10
 
 
-def test_more_rows_than_velocities_obey_coulombs_law():
-    """The law is read off row by row, where the solver says that it is met; nearly everywhere it is."""
+def test_redundant_contacts_satisfy_coulombs_law():
+    """Coulomb's law is checked contact by contact; at most 12 of 400 problems may remain unsolved."""
     rng, unsolved = np.random.default_rng(7), 0
     for _ in range(400):
         mass, jacobian, free, mu = redundant_problem(rng)
         inverse, impulse = np.linalg.inv(mass), np.zeros(len(free))
-        off = solved(mass, jacobian, free, mu, np.ones(len(mu)), impulse)
-        if off > 1e-7:
+        residual = solved(mass, jacobian, free, mu, np.ones(len(mu)), impulse)
+        if residual > 1e-7:
             unsolved += 1
             continue
         u = (free + jacobian @ inverse @ jacobian.T @ impulse).reshape(-1, 3)
@@ -573,25 +582,24 @@ def test_more_rows_than_velocities_obey_coulombs_law():
         assert force[:, 2].min() >= -1e-15 * largest
         assert np.minimum(u[:, 2] / size, force[:, 2] / max(largest, 1e-300)).max() < 1e-5
         assert (pushed <= mu * force[:, 2] * (1 + 1e-9) + 1e-12).all()
-        work = -(force[:, :2] * u[:, :2]).sum(
-            axis=1
-        )  # μ f_n |u_t| where friction is along slip and at its bound
+        # equals μ f_n |u_t| if friction opposes slip and is at its bound
+        work = -(force[:, :2] * u[:, :2]).sum(axis=1)
         np.testing.assert_allclose(work, mu * force[:, 2] * slip, atol=1e-5 * size * largest)
     assert unsolved <= 12
 
 
-def test_contacts_that_yield_unequally_take_few_iterations():
-    """Eigenvalues of W are 2 and 0.006: with r = 0.003 an iteration leaves a third of the change."""
+def test_few_iterations_for_ill_conditioned_delassus_matrix():
+    """The eigenvalues of W are 2 and 0.006; with r = 0.003 the change decreases to a third per iteration."""
     mass, mu, impulse = np.diag([1.0, 1.0, 1.0 / 0.003]), np.zeros(2), np.zeros(6)
     jacobian, course = np.zeros((6, 3)), np.zeros((2, 40, 6))
     jacobian[2], jacobian[5] = (0.0, 1.0, 1.0), (0.0, 1.0, -1.0)
-    off = solved(mass, jacobian, jacobian @ [0.0, -1.0, -0.001], mu, np.ones(2), impulse, course=course)
-    assert off < 1e-10
+    residual = solved(mass, jacobian, jacobian @ [0.0, -1.0, -0.001], mu, np.ones(2), impulse, course=course)
+    assert residual < 1e-10
     np.testing.assert_allclose(impulse[2::3], [2.0 / 3.0, 1.0 / 3.0], rtol=1e-8)
     assert 5 < course[0].any(axis=1).sum() < 12
 
 
-def test_meshes_move_as_boxes_do():
+def test_box_meshes_move_as_boxes():
     """Patches of boxes are computed by a kernel, others by polygons of their faces."""
     size = np.array([0.1, 0.2, 0.05])
     mesh = hull_mesh(0.5 * size * np.array(list(itertools.product((-1.0, 1.0), repeat=3))))
@@ -604,37 +612,37 @@ def test_meshes_move_as_boxes_do():
     np.testing.assert_allclose(*ends, rtol=0, atol=1e-10)
 
 
-def compliant(f, W, free, mu, given, part):
-    """By how much impulses miss Coulomb's law for contacts that give way by `part` of `given`."""
+def compliant_residual(f, W, free, mu, given, part):
+    """Return the residual of Coulomb's law for impulses `f` with contact compliances `part * given`."""
     z = (f - (free + W @ f + part * given * f) / given).reshape(-1, 3)
     push, pull = np.maximum(z[:, 2], 0.0), np.linalg.norm(z[:, :2], axis=1)
     share = np.minimum(1.0, mu * push / np.maximum(pull, 1e-300))
     return f - np.column_stack([z[:, :2] * share[:, None], push]).ravel()
 
 
-def test_impulses_are_the_limit_of_small_compliances_also_where_contacts_slide():
-    rng, halvings = np.random.default_rng(3), []
+def test_impulses_are_limit_of_small_compliances_when_sliding():
+    rng, pairs = np.random.default_rng(3), []
     for _ in range(120):
         mass, jacobian, free, mu = redundant_problem(rng)
         W, x = jacobian @ np.linalg.inv(mass) @ jacobian.T, np.zeros(len(free))
         c = rng.uniform(0.5, 2.0, len(mu))
         if len(free) > 18 or solved(mass, jacobian, free, mu, c, x) > 1e-7 or not x.any():
             continue
-        given, off = np.repeat(c, 3) / c.max() * np.diag(W).max(), []
+        given, errors = np.repeat(c, 3) / c.max() * np.diag(W).max(), []
         for part in (1e-4, 1e-5):
-            found = root(compliant, x, args=(W, free, mu, given, part), tol=1e-13).x
-            if np.abs(compliant(found, W, free, mu, given, part)).max() < 1e-8:
-                off.append(np.abs(found - x).max() / np.abs(x).max())
-        if len(off) == 2:
-            halvings.append((off[1], off[1] / off[0]))
-    off, ratio = np.array(halvings).T
-    assert len(off) > 25
-    assert np.quantile(off, 0.9) < 1e-3  # of first order in the compliances
+            found = root(compliant_residual, x, args=(W, free, mu, given, part), tol=1e-13).x
+            if np.abs(compliant_residual(found, W, free, mu, given, part)).max() < 1e-8:
+                errors.append(np.abs(found - x).max() / np.abs(x).max())
+        if len(errors) == 2:
+            pairs.append((errors[1], errors[1] / errors[0]))
+    error, ratio = np.array(pairs).T
+    assert len(error) > 25
+    assert np.quantile(error, 0.9) < 1e-3  # of first order in the compliances
     assert np.quantile(ratio, 0.9) < 0.15
 
 
-def test_where_impulses_are_not_unique_they_are_those_of_equal_compliances():
-    # a box on n points in line with equal loads: to each its part, and with compliances in proportion to them
+def test_non_unique_impulses_are_shared_by_compliance():
+    # a body on n points in a line: impulses are inversely proportional to the compliances
     n = 5
     x = np.linspace(-1.0, 1.0, n)
     jacobian = np.zeros((3 * n, 3))
@@ -647,8 +655,8 @@ def test_where_impulses_are_not_unique_they_are_those_of_equal_compliances():
         np.testing.assert_allclose(impulse[2::3], 2.0 / compliance / (1.0 / compliance).sum(), rtol=1e-9)
 
 
-def test_impacts_are_as_accurate_as_the_steps_that_they_interrupt(tmp_path):
-    """Beside the same impacts at full accuracy; a step of h misses (h g / v)² of a velocity v."""
+def test_impact_errors_are_at_most_those_of_the_steps(tmp_path):
+    """Compare with the same impacts at full accuracy; a step h has a relative error of (h g / v)²."""
     scene = boxes(3, (0.1, 0.1, 0.1), 1.0, restitution=0.1)
     q = []
     for k in range(3):
@@ -664,18 +672,18 @@ def test_impacts_are_as_accurate_as_the_steps_that_they_interrupt(tmp_path):
         group, place = impact.group
         exact = solve_impact(group.problem, simultaneous="propagate")
         fastest = np.abs(group.problem.velocity).max()
-        missed = np.abs(group.solution.velocity - exact.velocity).max() / fastest
-        assert missed <= max((dt * G / fastest) ** 2, 1e-7)
-        coarse += missed > 1e-7
-        # what is looked up later is what the motion has taken
+        error = np.abs(group.solution.velocity - exact.velocity).max() / fastest
+        assert error <= max((dt * G / fastest) ** 2, 1e-7)
+        coarse += error > 1e-7
+        # the recorded solution is the one used in the motion
         length = np.linalg.norm(group.solution.impulse[place])
         assert length == pytest.approx(np.linalg.norm(impact.impulse_world), rel=1e-9, abs=1e-12)
         np.testing.assert_array_equal(loaded.group[0].solution.velocity, group.solution.velocity)
     assert coarse > 3
 
 
-def test_dry_friction_takes_from_a_hinge_what_its_moment_does():
-    """Its rows are in metres, and a hinge turns in radians: the ledger counts N m times rad."""
+def test_work_of_dry_friction_in_hinge_is_moment_times_angle():
+    """Contact rows are in metres, but the work in a hinge is N m times rad."""
     moment, model = 0.3, pendulum(mass=2.0, length=0.4)
     model.gravity.linear[:] = 0.0
     model.friction[:] = moment
@@ -686,8 +694,12 @@ def test_dry_friction_takes_from_a_hinge_what_its_moment_does():
     assert motion.v[-1, 0] > 0.0
 
 
-def turned_box(kind, friction):
-    """A box that falls onto the floor, by a free joint, or by one whose linear velocity is in world axes."""
+def box_above_floor(kind, friction):
+    """Return a scene of a box above the floor.
+
+    Its joint is a free-flyer (`kind` "free"), or a translation and a spherical joint, so that its linear
+    velocity is in world axes.
+    """
     model, shapes, here, size = pin.Model(), pin.GeometryModel(), pin.SE3.Identity(), (0.1, 0.2, 0.5)
     if kind == "free":
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), here, "box")
@@ -703,26 +715,26 @@ def turned_box(kind, friction):
 
 
 @pytest.mark.parametrize("dt", [2e-3, 5e-4])
-def test_a_box_that_falls_over_on_ice_stays_above_the_same_place(dt):
-    """Forces are vertical, so that the centre falls straight down, and the box rests in the end."""
+def test_frictionless_box_falls_over_without_horizontal_motion(dt):
+    """All forces are vertical, so the centre of the box moves along a vertical line until the box rests."""
     tilted = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, 0.5, 0.2)).coeffs()
-    motion = step(turned_box("free", 0.0), [0, 0, 0.4, *tilted], np.zeros(6), 1.0, dt)
+    motion = step(box_above_floor("free", 0.0), [0, 0, 0.4, *tilted], np.zeros(6), 1.0, dt)
     assert np.abs(motion.q[:, :2]).max() < 1e-13
     assert motion.q[-1, 2] == pytest.approx(0.05, abs=1e-6) or motion.q[-1, 2] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_a_box_falls_the_same_whatever_axes_its_velocity_is_in():
+def test_box_motion_does_not_depend_on_axes_of_velocity():
     tilted = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, 0.5, 0.2)).coeffs()
     ends = [
-        step(turned_box(kind, 0.4), [0, 0, 0.4, *tilted], np.zeros(6), 0.45, 1e-3).q[-1]
+        step(box_above_floor(kind, 0.4), [0, 0, 0.4, *tilted], np.zeros(6), 0.45, 1e-3).q[-1]
         for kind in ("free", "in world axes")
     ]
     np.testing.assert_allclose(*ends, atol=1e-8)  # [m] and of the quaternion
 
 
 @pytest.mark.parametrize("spin", [0.0, 30.0, 180.0])
-def test_a_ball_that_spins_fast_flies_and_rolls_as_one_that_does_not(spin):
-    """Its linear velocity, in axes that turn with it, is as exact as that of a ball that does not."""
+def test_fast_spin_does_not_affect_accuracy_of_flight_and_rolling(spin):
+    """The linear velocity of the ball is in axes that rotate with it."""
     radius, t = 0.028, 0.5
     model, shapes = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
