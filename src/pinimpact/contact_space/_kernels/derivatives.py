@@ -66,7 +66,7 @@ GROWTH = 50.0
 
 @inlined
 def _add_identity(problem, values, row, t, p1, p2, p3):
-    """Add the change of v₃ = v₃° + κ·(v_t − v_t°) + s P₃ at fixed v_t, or its integral over P₃. (D4)
+    """Add the change of v₃ = v₃° + k·(v_t − v_t°) + s P₃ at fixed v_t, or its integral over P₃. (D4)
 
     (t, p1, p2, p3) is (1, P), or its integral over P₃.
     """

@@ -169,7 +169,7 @@ def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
 
 @inlined
 def tied(problem, s1, s2, speed, size1, size2, v3):
-    """Return v₃ = κ·v_t + η, which holds for s = 0, if it is more accurate than the sum over the path `v3`.
+    """Return v₃ = k·v_t + η, which holds for s = 0, if it is more accurate than the sum over the path `v3`.
 
     `size1` and `size2` are the sizes of the terms that the slip direction (s1, s2) is the sum of.
     """

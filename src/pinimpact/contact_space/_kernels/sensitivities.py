@@ -17,7 +17,7 @@ ROW = 12
 
 ROWS = 14
 VT1, VT2, PATH, STOP, NORMAL, WORK_DONE, COMPRESSED, END, *_ENDS = (np.int64(ROW * i) for i in range(ROWS))
-"""Offsets of rows of sensitivities in scratch: v_t and κ·∫v_t dP₃ at fixed P₃, and the P₃ at which v_t = 0;
+"""Offsets of rows of sensitivities in scratch: v_t and k·∫v_t dP₃ at fixed P₃, and the P₃ at which v_t = 0;
 v₃ and its work at fixed P₃, the impulse or work of compression, and the P₃ at the end."""
 
 OUT1, OUT2, OUT3, P1, P2, P3 = _ENDS

@@ -40,7 +40,7 @@ def _cross_straight(units, slip, around, time, mu, k1, k2, values):
         units, slip: The `Units`, and the `Slip` at the start.
         around: Accurate `Polynomials` of the direction of slip.
         time: τ; inf for slip to v_t = 0.
-        mu, k1, k2: μ and κ.
+        mu, k1, k2: μ, and k of (1.4).
         values: Rows of sensitivities; are overwritten.
 
     Returns:

@@ -156,7 +156,7 @@ def _fill_nodes(units, slip, kind, size, root, values):
 def _fill_integrals(values, works, kl, kp):
     """Fill the rows of scratch of P₃, K and, with `works`, V and M; return these four at the end. (D6), (D10)
 
-    (kl, kp) is κ in the axes of the panel.
+    (kl, kp) is k of (1.4) in the axes of the panel.
     """
     for i in range(0, NODES, 4):
         push = product(four(values, DRIFT + i), four(values, SPEED + i))
@@ -242,7 +242,7 @@ def cross_panel(units, slip, kind, size, root, mu, k1, k2, works, values):
         kind, size: Kind and length of the panel.
         root: Half-angle tangent to the invariant direction, for the kind INVARIANT.
         mu: μ.
-        k1, k2: κ.
+        k1, k2: k of (1.4).
         works: Whether row PATH and the integrals are needed.
         values: (ROOM,) rows of sensitivities, which are overwritten, and scratch.
 
