@@ -40,7 +40,7 @@ def joint_limits(model: pin.Model) -> tuple[JointLimit, ...]:
             name = label + (f"[{k}]" if nq > 1 else "")
             lower, upper = lowest[i], highest[i]
             if lower == upper == 0.0:
-                continue  # Pinocchio's default if a description has no limits
+                continue  # as read from a URDF whose <limit> has no bounds
             if abs(lower) < NO_BOUND:
                 found.append(JointLimit(f"{name} lower", i, j, 1.0, lower))
             if abs(upper) < NO_BOUND:
