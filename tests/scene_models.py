@@ -1,4 +1,4 @@
-"""Small models and one audited way to run scenes, for the tests of scenes."""
+"""Small models for tests of scenes, and a simulation that checks the energy balance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UP = (0.0, 0.0, 0.0, 1.0)
 
 
 def free_body(inertia, tips=()):
-    """A free-flying body with frames ``tip0``, ``tip1`` … at the given points, and ``center``."""
+    """Return a free-flying body with frames ``tip0``, ``tip1`` … at the given points, and ``center``."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
@@ -28,12 +28,12 @@ def free_body(inertia, tips=()):
 
 
 def ball(mass=2.0, radius=0.1):
-    """A uniform solid ball; its frame ``center`` carries the spherical tip."""
+    """Return a uniform solid ball with the frame ``center``."""
     return free_body(pin.Inertia.FromSphere(mass, radius))
 
 
 def slider(mass=1.0):
-    """A point mass on three sliding joints."""
+    """Return a point mass on three prismatic joints, with the frame ``point``."""
     model = pin.Model()
     parent = 0
     for k, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
@@ -45,7 +45,7 @@ def slider(mass=1.0):
 
 
 def rough_joint(friction):
-    """A mass of 1 kg on one sliding joint with dry friction."""
+    """Return a mass of 1 kg on a prismatic joint with dry friction."""
     model = pin.Model()
     index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
@@ -55,7 +55,7 @@ def rough_joint(friction):
 
 
 def box_on(corners, height=0.1, turn=0.3, mu=0.5):
-    """A box of 1 kg whose lower corners lie on an ellipse, and contacts there; its centre's height."""
+    """Return a body of 1 kg and contacts at points on an ellipse, `height` below its centre."""
     angle = 2.0 * math.pi * np.arange(corners) / corners + turn
     points = np.column_stack([0.3 * np.cos(angle), 0.2 * np.sin(angle), np.full(corners, -height)])
     model = free_body(pin.Inertia.FromBox(1.0, 0.6, 0.4, 2.0 * height), points)
@@ -64,7 +64,7 @@ def box_on(corners, height=0.1, turn=0.3, mu=0.5):
 
 
 def boxes_on_a_belt(mus, speed):
-    """A scene of points of 1 kg, on three sliding joints each, on a belt that moves along x."""
+    """Return a scene of point masses of 1 kg on prismatic joints, on a belt that moves along x."""
     model, contacts = pin.Model(), []
     belt = pinimpact.Plane(velocity=(speed, 0.0, 0.0))
     for k, mu in enumerate(mus):
@@ -80,7 +80,10 @@ def boxes_on_a_belt(mus, speed):
 
 
 def box_on_a_slope(slope, mu, height):
-    """A scene of a box of 1 kg on four corners on a slope, and where it starts; its centre's height."""
+    """Return a scene of a box of 1 kg on a slope, and its configuration with four corners in contact.
+
+    `height` is that of its centre above the slope.
+    """
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     corners = [(x, y, -height) for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
     model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.3, 2.0 * height), corners)
@@ -91,7 +94,7 @@ def box_on_a_slope(slope, mu, height):
 
 
 def pendulum(mass=1.0, length=1.0, joint=None):
-    """A point mass on a massless rod that turns about y; zero hangs down, ``tip`` is the mass."""
+    """Return a point mass (frame ``tip``) on a massless rod that rotates about y and points down at zero."""
     model = pin.Model()
     index = model.addJoint(0, joint or pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     lever = np.array([0.0, 0.0, -length])
@@ -103,13 +106,13 @@ def pendulum(mass=1.0, length=1.0, joint=None):
 
 
 def unbounded(model):
-    """Take the bounds off all joints."""
+    """Remove the position limits of all joints."""
     model.lowerPositionLimit = np.full(model.nq, -np.inf)
     model.upperPositionLimit = np.full(model.nq, np.inf)
 
 
 def run(scene, q0, v0, duration, audit=1e-6, **options):
-    """Simulate and audit the energy: its change is the work of all that acts, of the energies at play."""
+    """Simulate and check that the energy residual is at most `audit` times the energies exchanged."""
     trajectory = pinimpact.simulate(scene, q0, v0, duration, **options)
     energy = trajectory.energy
     works = (energy.control, energy.joints, energy.friction, energy.surface, energy.impacts)
@@ -120,7 +123,7 @@ def run(scene, q0, v0, duration, audit=1e-6, **options):
 
 
 def shaped_body(shape, inertia, placement=None, name="thing_0"):
-    """A free-flying body, frame ``thing``, with one collision shape."""
+    """Return a free-flying body with one collision shape on its frame ``thing``."""
     model = free_body(inertia)
     model.addFrame(pin.Frame("thing", 1, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     shapes = pin.GeometryModel()
@@ -130,7 +133,7 @@ def shaped_body(shape, inertia, placement=None, name="thing_0"):
 
 
 def mesh(points, triangles):
-    """A mesh as coal has it."""
+    """Return a mesh of coal."""
     solid = coal.BVHModelOBBRSS()
     solid.beginModel(len(triangles), len(points))
     for triangle in triangles:
@@ -140,6 +143,6 @@ def mesh(points, triangles):
 
 
 def hull_mesh(points):
-    """The convex hull of points as a mesh of triangles."""
+    """Return the convex hull of points as a triangle mesh."""
     hull = ConvexHull(points)
     return mesh(points, hull.simplices)

@@ -1,4 +1,4 @@
-"""Scenes in which forces grow without bound, corrections interfere, or a robot lies on all its feet."""
+"""Scenes with unbounded forces (Painlevé), non-unique forces, or many simultaneous contacts."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .random_scenes import draw, unaccounted
 from .scene_models import UP, G, free_body, run, unbounded
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
-"""Some of these motions have impacts at bounds; what is checked here holds for them too."""
+"""Some impacts reach a bound of the solver, which does not affect these checks."""
 
 MU = 2.0
 INERTIA = 1.0 / 3.0
 
 
 def planar_rod(about=INERTIA):
-    """A rod of mass 1 and half length 1 in the plane; zero is level, ``tip`` sinks as it turns."""
+    """Return a planar rod of mass 1 and half length 1; it is level at zero, and rotation lowers ``tip``."""
     model, parent = pin.Model(), 0
     for name, joint in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
         parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
@@ -39,18 +39,18 @@ def planar_rod(about=INERTIA):
 
 
 def pushed_rod(angle, rate, speed=6.0):
-    """A rod whose tip slides on the floor ahead of it."""
+    """Return q and v of a rod that pushes its tip ahead along the floor."""
     q = [0.0, np.sin(angle), angle]
     return q, [speed + rate * np.sin(angle), rate * np.cos(angle), rate]
 
 
 def effective(angle):
-    """Change of the tip's vertical acceleration with the normal force, as it slides ahead of the rod."""
+    """Return the derivative of the tip's vertical acceleration by the normal force while the tip slides."""
     return 1.0 + np.cos(angle) * (np.cos(angle) - MU * np.sin(angle)) / INERTIA
 
 
-def until_it_jams(q, v):
-    """Return time, configuration and velocity where the rod's normal force grows without bound."""
+def singular_state(q, v):
+    """Return time, configuration and velocity at which the normal force becomes unbounded."""
 
     def rates(t, y):
         s, c = np.sin(y[2]), np.cos(y[2])
@@ -66,8 +66,8 @@ def until_it_jams(q, v):
     return end.t[-1], end.y[:3, -1], end.y[3:, -1]
 
 
-def stopped(q, v):
-    """Return the velocity of the rod once an impulse has stopped its tip."""
+def velocity_after_stop(q, v):
+    """Return the velocity of the rod after an impulse that stops its tip."""
     s, c = np.sin(q[2]), np.cos(q[2])
     rows = np.array([[1.0, 0.0, -s], [0.0, 1.0, -c]])
     response = rows.T / np.array([[1.0], [1.0], [INERTIA]])
@@ -76,49 +76,50 @@ def stopped(q, v):
 
 @pytest.mark.parametrize(("angle", "rate"), [(0.3, 3.0), (0.5, 2.5), (0.6, 1.5)])
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9])
-def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
-    """The singularity of Painlevé's rod: an impact without collision stops the tip, and it lifts off."""
+def test_rod_jams_where_forces_become_unbounded(angle, rate, rtol):
+    """At the singularity of Painlevé's rod an impact without collision stops the tip, and it lifts off."""
     q, v = pushed_rod(angle, rate)
     scene = Scene(planar_rod(), [Contact("tip", Plane(), friction=MU)])
     trajectory = run(scene, q, v, 0.3, rtol=rtol, atol=1e-2 * rtol)
     (jam,) = (note for note in trajectory.notes if "jam" in note.text)
-    time, q, v = until_it_jams(q, v)
+    time, q, v = singular_state(q, v)
     assert jam.time == pytest.approx(time, abs=1e-5)
-    after = stopped(q, v)
+    after = velocity_after_stop(q, v)
     assert trajectory.at(jam.time, "right")[1] == pytest.approx(after, rel=1e-3)
     assert [m.mode for m in trajectory.modes] == ["slip"]
-    # where forces end to exist within a step, their end is not looked for all along it
+    # the end of existence of forces within a step is located with few evaluations
     assert trajectory.statistics["evaluations"] < 1500
 
 
 def forked_rod():
-    """The rod in space, with two tips side by side that share what one would bear."""
+    """Return the rod in space, with two tips side by side that share the load."""
     return free_body(pin.Inertia(1.0, np.zeros(3), INERTIA * np.eye(3)), [(1, 0.3, 0), (1, -0.3, 0)])
 
 
-def in_space(q, v):
-    """Return the state of the rod in space that moves like the planar one."""
+def spatial_state(q, v):
+    """Return the state of the rod in space that corresponds to a state of the planar rod."""
     turn = pin.utils.rotate("y", q[2])
     state = np.array([q[0], 0.0, q[1], *pin.Quaternion(turn).coeffs()])
     return state, np.array([*(turn.T @ [v[0], 0.0, v[1]]), 0.0, v[2], 0.0])
 
 
-def test_two_tips_jam_together_as_one_would():
-    """Neither would alone: the singularity is that of both."""
+def test_two_tips_jam_together_like_one():
+    """Neither contact alone would jam; the singularity is that of both."""
     q, v = pushed_rod(0.5, 2.5)
     contacts = [Contact(f"tip{k}", Plane(), friction=MU) for k in range(2)]
-    trajectory = run(Scene(forked_rod(), contacts), *in_space(q, v), 0.3, rtol=1e-8, atol=1e-10)
-    (jam,) = trajectory.notes  # told as forces without bound or, a rounding later, as slip without forces
+    trajectory = run(Scene(forked_rod(), contacts), *spatial_state(q, v), 0.3, rtol=1e-8, atol=1e-10)
+    # reported as unbounded forces or, depending on rounding, as slip without forces
+    (jam,) = trajectory.notes
     assert "an impact" in jam.text
-    time, q, v = until_it_jams(q, v)
+    time, q, v = singular_state(q, v)
     assert jam.time == pytest.approx(time, abs=1e-5)
-    after = stopped(q, v)
-    assert trajectory.at(jam.time, "right")[1] == pytest.approx(in_space(q, after)[1], abs=1e-3)
+    after = velocity_after_stop(q, v)
+    assert trajectory.at(jam.time, "right")[1] == pytest.approx(spatial_state(q, after)[1], abs=1e-3)
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
-def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(restitution):
-    """Past the singularity, where each tip alone could slip on: as one tip in the middle, solved as such."""
+def test_two_sliding_tips_without_consistent_forces_have_an_impact(restitution):
+    """Beyond the singularity each tip alone could slide; compare with one tip in the middle."""
     q, v = pushed_rod(1.0, 0.5)
     assert effective(q[2]) < 0.0
     inertia = pin.Inertia(1.0, np.zeros(3), INERTIA * np.eye(3))
@@ -126,7 +127,7 @@ def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(res
     for rod, tips in ((forked_rod(), 2), (free_body(inertia, [(1, 0, 0)]), 1)):
         contact = {"friction": MU, "restitution": restitution, "law": "energetic"}
         contacts = [Contact(f"tip{k}", Plane(), **contact) for k in range(tips)]
-        ends.append(run(Scene(rod, contacts), *in_space(q, v), 1e-4).impacts)
+        ends.append(run(Scene(rod, contacts), *spatial_state(q, v), 1e-4).impacts)
     both, one = ends
     assert len(one) == 1
     assert len(both) == 2
@@ -136,22 +137,22 @@ def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(res
     assert both[0].v_after == pytest.approx(one[0].v_after, abs=1e-6)
 
 
-def test_slip_hardly_faster_than_the_error_of_a_step_that_no_forces_hold_is_an_impact_too():
-    """It may not rest, for that takes more than the error from the rod's turn: no forces, but an impulse."""
+def test_very_slow_slip_without_consistent_forces_has_an_impact():
+    """The tips do not count as at rest: to stop them changes the rotation by more than the tolerance."""
     length, angle, rate, slow, rtol = 0.1, 1.0, 0.5, 3e-6, 1e-6
     inertia = pin.Inertia(1.0, np.zeros(3), INERTIA * length**2 * np.eye(3))
     rod = free_body(inertia, [(length, 0.3 * length, 0), (length, -0.3 * length, 0)])
 
     def state(speed, angle, rate):
         s, c = np.sin(angle), np.cos(angle)
-        return in_space([0.0, length * s, angle], [speed + length * rate * s, length * rate * c, rate])
+        return spatial_state([0.0, length * s, angle], [speed + length * rate * s, length * rate * c, rate])
 
-    def blow(t, q, v):
+    def push(t, q, v):
         return state(slow, 2.0 * np.arctan2(q[4], q[6]), v[4])[1]
 
     contacts = [Contact(f"tip{k}", Plane(), friction=MU) for k in range(2)]
-    scene = Scene(rod, contacts, events=[Event(lambda t, q, v: t - 1e-3, blow)])
-    q, v = state(-1.0, angle, rate)  # backwards it slides on
+    scene = Scene(rod, contacts, events=[Event(lambda t, q, v: t - 1e-3, push)])
+    q, v = state(-1.0, angle, rate)  # sliding backwards is regular
     trajectory = run(scene, q, v, 1.2e-3, rtol=rtol, atol=1e-2 * rtol)
     jam, other = trajectory.impacts
     assert jam.time == other.time == pytest.approx(1e-3)
@@ -169,8 +170,8 @@ def test_slip_hardly_faster_than_the_error_of_a_step_that_no_forces_hold_is_an_i
     assert jam.v_after == pytest.approx(jam.v_before - stopping, abs=1e-10)
 
 
-def test_a_rod_that_its_joint_keeps_from_turning_slides_on_where_it_would_jam():
-    """With dry friction in its hinge it slides as a point does, though its tip would drive the floor in."""
+def test_rod_held_by_dry_hinge_keeps_sliding_without_jamming():
+    """Dry friction in the hinge prevents rotation, so the rod slides like a point mass."""
     angle, speed, time = 1.0, 6.0, 0.2
     assert effective(angle) < 0.0
     model = planar_rod()
@@ -186,8 +187,8 @@ def test_a_rod_that_its_joint_keeps_from_turning_slides_on_where_it_would_jam():
     )
 
 
-def test_what_rests_on_more_feet_than_it_needs_keeps_slip_from_no_singularity():
-    """The rod of above beside a table: the forces keep from their bounds as far as those of each alone."""
+def test_force_margin_beside_redundant_contacts():
+    """Rod and table together: the force margin is the smallest of the margins of each alone."""
     angle, held, mass = 1.0, 20.0, 2.0
     model = planar_rod()
     table = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "table")
@@ -207,8 +208,8 @@ def test_what_rests_on_more_feet_than_it_needs_keeps_slip_from_no_singularity():
     assert integrator.work.force_margin == pytest.approx(min(G, 0.25 * mass * G, spare), rel=1e-6)
 
 
-def test_a_belt_that_rubs_against_what_others_hold_drives_nothing_in():
-    """Whichever way it runs, forces of equal springs act; free, the body would be drawn into it one way."""
+def test_belt_against_body_held_by_other_contacts_does_not_jam():
+    """In both directions the forces are those of equal springs; the body without feet would jam in one."""
     feet = [(-0.2, -0.2, -1.0), (-0.2, 0.2, -1.0), (0.2, 0.0, -1.0)]
     about, place, mu = 0.05, 0.5, 1.0
     assert 1.0 + place * (place - mu) / about < 0.0 < 1.0 + place * (place + mu) / about
@@ -219,11 +220,11 @@ def test_a_belt_that_rubs_against_what_others_hold_drives_nothing_in():
         contacts = [Contact(f"tip{k}", Plane(), friction=2.0 * mu) for k in range(3)]
         contacts.append(Contact("tip3", belt, friction=mu))
         trajectory = run(Scene(model, contacts), [0.0, 0.0, 1.0, *UP], np.zeros(6), 0.1)
-        # wrenches about the centre of each force of the feet, and of the belt for a unit along its normal
+        # wrenches about the centre per unit force of the feet, and per unit normal force of the belt
         forces = [*np.tile(np.eye(3), (3, 1)), np.array([np.sign(speed) * mu, 0.0, 1.0])]
         arms = [*np.repeat(points[:3], 3, axis=0), points[3]]
         wrenches = np.array([[*f, *np.cross(arm, f)] for f, arm in zip(forces, arms, strict=True)]).T
-        # a small displacement d presses the feet's springs by rows d, and the belt's along its normal
+        # a small displacement d compresses the springs by `rows @ d`; that of the belt along its normal only
         rows = np.vstack([wrenches[:, :9].T, [0.0, 0.0, 1.0, *np.cross(points[3], [0.0, 0.0, 1.0])]])
         shared = rows @ np.linalg.solve(wrenches @ rows, [0.0, 0.0, G, 0.0, 0.0, 0.0])
         for k, contact in enumerate(contacts):
@@ -231,8 +232,8 @@ def test_a_belt_that_rubs_against_what_others_hold_drives_nothing_in():
             assert trajectory.forces_world(contact.label, [0.05])[0] == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_planar_robot_that_sticks_is_not_told_that_its_forces_are_not_unique():
-    """Nothing can move it out of its plane, so no force acts there."""
+def test_planar_sticking_robot_has_no_note_on_non_unique_forces():
+    """The model cannot move out of its plane, so forces perpendicular to it are zero."""
     angle = -0.5 * np.pi + 0.1
     scene = Scene(planar_rod(), [Contact("tip", Plane(point=(0, 0, 1), normal=(0, 0, 1)), friction=MU)])
     trajectory = run(scene, [0.0, 1.0 + np.sin(angle), angle], np.zeros(3), 0.2)
@@ -241,8 +242,8 @@ def test_a_planar_robot_that_sticks_is_not_told_that_its_forces_are_not_unique()
 
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-5])
-def test_a_panda_that_falls_against_its_stops_gets_through_at_loose_tolerances(rtol):
-    """What brings closed stops back may leave open ones below zero; that is no event."""
+def test_panda_falling_against_joint_limits_at_loose_tolerances(rtol):
+    """Corrections of active limits may leave inactive ones slightly negative, which is not an event."""
     robot = load_robot("panda")
     hand = Contact("panda_hand_tcp", Plane(point=(0, 0, 0.2)), friction=0.4, restitution=0.5)
     q0 = [0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02]
@@ -253,7 +254,7 @@ def test_a_panda_that_falls_against_its_stops_gets_through_at_loose_tolerances(r
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("friction", [0.2, 0.8])
-def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction):
+def test_uncontrolled_solo12_falls_and_slides_without_penetration(seed, friction):
     rng = np.random.default_rng(seed)
     model = load_robot("solo12").model
     feet = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
@@ -266,7 +267,7 @@ def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction)
     scene = Scene(model, contacts, without=["joint limits"])
     trajectory = run(scene, q0, 0.5 * rng.normal(size=model.nv), 0.6, audit=1e-4, rtol=1e-7)
     assert trajectory.complete
-    # no foot sinks in, at samples and between them
+    # no penetration at or between samples
     for t in np.linspace(0.0, 0.6, 200):
         pin.framesForwardKinematics(model, data, trajectory.at(t)[0])
         heights = [data.oMf[model.getFrameId(foot)].translation[2] for foot in feet]
@@ -277,8 +278,8 @@ def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction)
 @pytest.mark.parametrize(
     "seed", [31000334, 31001224, 31001820, 71000554, 72000253, 72000435, 72000798, 72000900]
 )
-def test_feet_that_slip_and_jam_together_come_to_the_end(seed):
-    """No friction gives energy, and what impacts take is no less than nothing."""
+def test_jamming_feet_dissipate_energy(seed):
+    """Neither friction nor impacts increase the energy."""
     _, scene, q, v, rtol = draw(seed)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.complete
@@ -288,20 +289,20 @@ def test_feet_that_slip_and_jam_together_come_to_the_end(seed):
         assert np.diff(work).max() < 100 * rtol * (energy.kinetic.max() + 1.0)
 
 
-def test_slip_that_stops_shortly_before_its_forces_have_no_bound_does_not_jam():
-    """Forces grow to 10⁵ times the weight and end the slip; a jam would throw the feet off. Errors fall."""
+def test_slip_that_ends_just_before_singularity_does_not_jam():
+    """Forces grow to 10⁵ times the weight and end the slip; errors decrease with the tolerance."""
     _, scene, q, v, _ = draw(92000043)
     runs = [simulate(scene, q, v, 0.2215, rtol=rtol, atol=1e-2 * rtol) for rtol in (1e-6, 1e-7, 1e-9)]
-    off = [np.abs(run.v[-1] - runs[-1].v[-1]).max() for run in runs]
-    assert off[0] < 1e-4
-    assert off[1] < 0.2 * off[0]
+    errors = [np.abs(run.v[-1] - runs[-1].v[-1]).max() for run in runs]
+    assert errors[0] < 1e-4
+    assert errors[1] < 0.2 * errors[0]
     assert not any("jam" in note.text for run in runs[:2] for note in run.notes)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize("seed", [3000072, 3000170, 5000621, *range(4000001, 4000013)])
-def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):
+def test_randomly_dropped_robots_satisfy_energy_balance(seed):
     _, scene, q, v, rtol = draw(seed)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.complete
@@ -309,8 +310,8 @@ def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):
     assert trajectory.statistics["steps"] < 5000
 
 
-def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other():
-    """Unilateral springs below two corners of a sole, integrated, press one and free the other."""
+def test_one_of_two_oscillating_contacts_jams_and_lifts_the_other():
+    """Compare with the integrated motion of unilateral springs below two corners of a sole."""
     rng = np.random.default_rng(4)
     found = 0
     for _ in range(4000):
@@ -318,7 +319,7 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
         delassus, friction, stiffness = factor @ factor.T, np.full(2, 1.2), rng.uniform(0.5, 2.0, 2)
         velocity = np.column_stack([rng.standard_normal((2, 2)), np.zeros(2)])
         slip = velocity[:, :2] / np.linalg.norm(velocity[:, :2], axis=1)[:, None]
-        pressed = np.empty((2, 2))  # normal accelerations by normal forces and their friction
+        pressed = np.empty((2, 2))  # normal accelerations per normal force, including its friction
         for i, j in np.ndindex(2, 2):
             row = delassus[3 * i + 2, 3 * j : 3 * j + 3]
             pressed[i, j] = row[2] - 1.2 * row[:2] @ slip[j]
@@ -338,7 +339,7 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
         assert end.argmax() == grown.argmax() == alone[0]
         assert end.max() > 1e-8
         assert end.min() <= 0.0
-        # nor do eight more that feel nothing of it hide it
+        # the result is the same beside eight uncoupled contacts
         among = growing_indentations(
             block_diag(delassus, np.eye(24)),
             np.vstack([velocity, np.zeros((8, 3))]),
@@ -351,11 +352,8 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
 
 
 @numba.njit
-def pressed_springs(delassus, velocity, loads, friction, softness, step, steps):
-    """Return velocities once springs under contacts have let go, which give back `softness`² of their work.
-
-    Small steps, with the friction that each ends with, whatever sticks, slips or turns.
-    """
+def velocity_after_spring_contact(delassus, velocity, loads, friction, softness, step, steps):
+    """Return velocities after contact with springs of restitution `softness`, by small implicit steps."""
     count = len(velocity) // 3
     depth, deepest, force = np.zeros(count), np.zeros(count), np.zeros(3 * count)
     for _ in range(steps):
@@ -385,10 +383,10 @@ def pressed_springs(delassus, velocity, loads, friction, softness, step, steps):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [262, 2030, 4621])
-def test_what_rests_may_slip_in_an_impact_without_collision(seed):
-    """A body turns about a tip at rest, and drives the other in only once the first one slips.
+def test_sticking_contact_may_slip_in_impact_without_collision(seed):
+    """A body rotates about a tip at rest; the other tip jams only after the first one slips.
 
-    What comes of it is what springs under the tips come to, which the loads press in.
+    Compare with springs under the tips that are compressed by the loads.
     """
     rng = np.random.default_rng(seed)
     inertia = np.diag(10.0 ** rng.uniform(-1.5, 0.0, 3))
@@ -417,15 +415,17 @@ def test_what_rests_may_slip_in_an_impact_without_collision(seed):
     before[[0, 1, 2, 5]] = 0.0
     delassus = jacobian @ response @ jacobian.T
     soft, softer = (
-        pressed_springs(delassus, before, 1e-8 * loads, 1.0, softness, 0.1 * softness, int(4e3 / softness))
+        velocity_after_spring_contact(
+            delassus, before, 1e-8 * loads, 1.0, softness, 0.1 * softness, int(4e3 / softness)
+        )
         for softness in (0.02, 0.04)
     )
     assert np.abs(soft - softer).max() < 0.02
     assert after / speed == pytest.approx(2.0 * soft - softer, abs=3e-3)
 
 
-def test_what_has_been_pressed_stays_closed_though_it_could_open():
-    """A rod whose middle is pushed up and ahead strikes and stops: free of the floor its tip would rise."""
+def test_loaded_contact_stays_active_though_it_could_separate():
+    """A rod pushed up and ahead strikes the floor and sticks, although its tip could also rise from it."""
     about, angle, falls = 0.1, np.pi / 3.0, 0.05
     push = np.array([10.0, 1.0])
     model = planar_rod(about)
@@ -433,7 +433,7 @@ def test_what_has_been_pressed_stays_closed_though_it_could_open():
     scene = Scene(model, [floor], control=lambda t, q, v: [push[0], push[1] + G, 0.0])
     trajectory = run(scene, [0.0, np.sin(angle), angle], [0.0, -falls, 0.0], 0.1, rtol=1e-10, atol=1e-12)
 
-    def rates(t, y):  # about the tip, which is where it was
+    def rates(t, y):  # rotation about the tip, which sticks
         return [y[1], (push[0] * np.sin(y[0]) + push[1] * np.cos(y[0])) / (about + 1.0)]
 
     start = [angle, -falls * np.cos(angle) / (about + 1.0)]
@@ -450,7 +450,7 @@ def test_what_has_been_pressed_stays_closed_though_it_could_open():
     assert expected[:, 1].min() > 1.0
 
 
-def test_what_only_touches_opens_where_it_could_stay_closed_too():
+def test_unloaded_contact_separates_though_it_could_stay_active():
     model = planar_rod(0.1)
     floor = Contact("tip", Plane(), friction=1.2, restitution=0.0)
     scene = Scene(model, [floor], control=lambda t, q, v: [10.0, 1.0 + G, 0.0])

@@ -1,4 +1,4 @@
-"""Forces and modes of scenes against brute force: whole systems, conditions, all modes one by one."""
+"""Forces and modes of scenes, against the full equations of motion and enumeration of modes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .scene_models import G
 
 @numba.njit
 def close(work, reference):
-    """Close what the modes say; `active_set.close` is called from kernels only."""
+    """Call `active_set.close`, which has no Python wrapper."""
     active_set.close(work, reference)
 
 
 def tree(rng):
-    """A free-flying body with three arms, tips at their ends, and dry friction in two joints."""
+    """Return a free-flying body with three arms, their tips, dry friction in two joints, and a state."""
     model = pin.Model()
     root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     model.appendBodyToJoint(root, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
@@ -51,8 +51,8 @@ def tree(rng):
     "modes",
     [(SLIP, FREE, FREE), (STICK, SLIP, FREE), (SLIP, SLIP, SLIP), (STICK, FREE, HELD), (STICK, SLIP, HELD)],
 )
-def test_accelerations_and_forces_solve_the_whole_system(seed, modes):
-    """Newton's equations and the conditions of all modes, as one linear system of v̇ and the forces."""
+def test_accelerations_and_forces_solve_the_full_system(seed, modes):
+    """Compare with one linear system in v̇ and forces: equations of motion and conditions of all modes."""
     pin.seed(seed)
     rng = np.random.default_rng(seed)
     model, q, v = tree(rng)
@@ -118,7 +118,7 @@ def test_accelerations_and_forces_solve_the_whole_system(seed, modes):
 
 
 def bar(length):
-    """A bar in the plane y = 0 on two tips, level at rest on the ground; its mass lies above them."""
+    """Return a bar in the plane y = 0 that rests level on two tips, with its centre of mass above them."""
     model = pin.Model()
     parent = 0
     for k, kind in enumerate((pin.JointModelPX(), pin.JointModelPZ(), pin.JointModelRY())):
@@ -136,15 +136,15 @@ OPEN, REST, RIGHT, LEFT = range(4)
 
 
 def consistent_accelerations(length, mu, push):
-    """Return the accelerations (ẍ, z̈, α) that some modes of the two tips allow, modes and all."""
+    """Return all consistent pairs of modes of the two tips, with accelerations (ẍ, z̈, α)."""
     h, inertia = 0.2, 0.05
-    # about the origin of the bar; α turns z towards x: a tip at (x, 0) rises by −x α
+    # about the origin of the bar; α rotates z towards x, so a tip at (x, 0) accelerates by −x α along z
     mass = np.array([[1.0, 0, h], [0, 1.0, 0], [h, 0, inertia + h * h]])
     acting = push + np.array([0.0, -G, 0.0])
     tips = [np.array([[1.0, 0, 0], [0, 1.0, -x]]) for x in (-length, length)]
     found = []
     for modes in itertools.product((OPEN, REST, RIGHT, LEFT), repeat=2):
-        if modes == (REST, REST):  # at rest: do forces in both cones hold it?
+        if modes == (REST, REST):  # at rest if forces within both friction cones are in equilibrium
             columns = np.hstack([J.T for J in tips])
             cone = np.zeros((4, 4))
             for k in range(2):
@@ -188,8 +188,8 @@ def consistent_accelerations(length, mu, push):
     return found
 
 
-def test_the_modes_chosen_are_those_that_enumeration_finds():
-    """A bar at rest on two tips under random forces rests, slides, tips, does both, or lifts off."""
+def test_modes_agree_with_enumeration():
+    """Under random forces a bar on two tips stays at rest, slides, tips over, does both, or lifts off."""
     rng = np.random.default_rng(5)
     met = set()
     for _ in range(150):
@@ -199,7 +199,7 @@ def test_the_modes_chosen_are_those_that_enumeration_finds():
         assert found
         modes, expected = found[0]
         if any(np.abs(a - expected).max() > 1e-9 for _, a in found):
-            continue  # Painlevé: not unique
+            continue  # not unique (Painlevé)
         model = bar(length)
         contacts = [Contact(f"tip{k}", Plane(), friction=mu) for k in range(2)]
         scene = Scene(model, contacts, control=lambda *_, push=push: push)

@@ -1,4 +1,4 @@
-"""The kernels of scenes against Pinocchio and against differences along a motion."""
+"""Kernels of scenes, against Pinocchio and finite differences along a motion."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def rim_parts(work, out):
 
 @numba.njit
 def rim_clear(now, later, radius, curvature, width, floor):
-    """Call the kernel, which only kernels can."""
+    """Call the kernel of this name, which has no Python wrapper."""
     return gap_bounds.rim_clear(now, later, radius, curvature, width, floor)
 
 
@@ -89,7 +89,7 @@ def placements(model, data, q):
 
 
 def curved_model():
-    """A tree with every kind of joint, and a second body beside it."""
+    """Return a kinematic tree with joints of all kinds, and a second free body."""
     model = pin.Model()
     rng = np.random.default_rng(3)
     parent = 0
@@ -118,7 +118,7 @@ def random_state(model, seed):
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1e-2, 0.3, 1.5])
-def test_charts_move_as_the_model_does(size):
+def test_integration_of_configurations_agrees_with_pinocchio(size):
     model = curved_model()
     table = joint_table(model)
     q0, v, xi = random_state(model, 1)
@@ -133,7 +133,7 @@ def test_charts_move_as_the_model_does(size):
 
 
 def random_surfaces(body):
-    """A belt that turns, and balls that the tip is beside, above and below of, with spin."""
+    """Return a rotating belt, and spinning spheres in several positions relative to the tip."""
     normal = np.array([0.2, -0.5, 0.8])
     normal /= np.linalg.norm(normal)
     belt = np.cross(normal, [0.3, 0.7, -0.2])
@@ -151,7 +151,7 @@ def random_surfaces(body):
 @pytest.mark.parametrize("kind", range(5))
 @pytest.mark.parametrize("body", [None, "frame6"])
 @pytest.mark.parametrize("radius", [0.0, 0.4])
-def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, radius, kind):
+def test_contact_kinematics_agree_with_finite_differences(body, radius, kind):
     model = curved_model()
     other = model.createData()
     surface = list(random_surfaces(body))[kind]
@@ -171,12 +171,12 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     a, velocity, acceleration = evaluate(q, v)
     matrices = contact_matrices(model, other, q, contact)
     assert closed.gap[0] == pytest.approx(contact.gap(model, other, q), abs=1e-13)
-    # the tangential axes may differ by a turn about the normal
+    # the tangential axes may differ by a rotation about the normal
     expected = matrices.velocity(v)
     assert velocity[2] == pytest.approx(expected[2], abs=1e-12)
     assert np.hypot(*velocity[:2]) == pytest.approx(np.hypot(*expected[:2]), rel=1e-11)
     assert closed.jacobian[0, 2] == pytest.approx(matrices.h, abs=1e-12)
-    # so are both rows together, and nothing is mirrored
+    # the two tangential rows differ by this rotation, without reflection
     turn = np.linalg.lstsq(matrices.K, closed.jacobian[0, :2].T, rcond=None)[0]
     assert matrices.K @ turn == pytest.approx(closed.jacobian[0, :2].T, abs=1e-12)
     assert np.linalg.det(turn) == pytest.approx(1.0, abs=1e-12)
@@ -195,22 +195,22 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     assert (gap_ahead - gap_behind) / (2 * h) == pytest.approx(rate, abs=1e-7)
 
 
-def test_the_axes_of_a_scene_go_around_a_sphere_without_a_jump():
+def test_contact_axes_are_continuous_around_a_sphere():
     model = slider()
     contact = Contact("point", Sphere(radius=1.0))
     dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
     rows = []
-    for angle in np.linspace(0.0, 4.0 * np.pi, 400):  # twice over both poles
+    for angle in np.linspace(0.0, 4.0 * np.pi, 400):  # two full turns through both poles
         q = np.array([np.sin(angle), 0.0, np.cos(angle)])
         rows.append(dynamics.free_motion_at(0.0, q, np.zeros(3), [0]).jacobian[0])
         assert rows[-1] @ rows[-1].T == pytest.approx(np.eye(3), abs=1e-14)
         assert rows[-1][2] == pytest.approx(q, abs=1e-14)
     assert np.abs(np.diff(rows, axis=0)).max() < 0.04
-    # along a great circle nothing turns about the normal
+    # along a great circle the axes do not rotate about the normal
     assert rows[-1] == pytest.approx(rows[0], abs=1e-13)
 
 
-def test_the_axes_of_a_scene_where_a_sphere_is_first_met_at_its_lowest_point():
+def test_contact_axes_that_start_at_the_lowest_point_of_a_sphere():
     model = slider()
     contact = Contact("point", Sphere(radius=1.0))
     for tilt in (0.0, 1e-17, -1e-17, 1e-9):
@@ -222,7 +222,7 @@ def test_the_axes_of_a_scene_where_a_sphere_is_first_met_at_its_lowest_point():
 
 
 @pytest.mark.slow
-def test_the_bound_of_the_curvature_holds():
+def test_bound_of_gap_acceleration():
     model = curved_model()
     contact = Contact("frame5", Plane(), offset=(0.1, 0, 0.2))
     for seed in range(20):
@@ -233,7 +233,7 @@ def test_the_bound_of_the_curvature_holds():
         a = closed.joints
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
         size, *_ = bounds(dynamics.work, peak, 0.0)
-        assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it
+        assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration includes gravity
 
 
 @settings(max_examples=60, deadline=None)
@@ -287,7 +287,7 @@ def test_the_bounds_of_a_gap_hold_between_any_two_times_of_a_step(seed, where, f
         assert np.abs(between).max() <= bend + slack
 
 
-def test_bounds_of_all_points_within_reach_are_no_less_than_those_of_each():
+def test_bounds_within_reach_cover_those_of_each_point():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         model = curved_model()
@@ -304,8 +304,8 @@ def test_bounds_of_all_points_within_reach_are_no_less_than_those_of_each():
 
 
 @pytest.mark.parametrize("body", [None, "frame6"])
-def test_what_bounds_the_gap_of_a_rim_holds(body):
-    """Against differences along a motion of constant v̇: the parts of the gap, their rates, and the bound."""
+def test_bounds_of_rim_gap(body):
+    """Compare the terms of the gap, their rates and the bound with finite differences for constant v̇."""
     for seed in range(12):
         rng = np.random.default_rng(seed)
         model = curved_model()
@@ -338,7 +338,7 @@ def test_what_bounds_the_gap_of_a_rim_holds(body):
         bound = turning_bound(dynamics.work, peak, h)
         assert 0.4 * bent <= SAFETY * bound
         size, *_ = bounds(dynamics.work, peak, h)
-        # what is called clear is clear, over any part, for floors next to the lowest point
+        # no interval is reported as clear for a floor above the lowest point
         curvature = SAFETY * (size + bound)
         for _ in range(30):
             i, j = sorted(rng.choice(steps + 1, 2, replace=False).tolist())
@@ -352,7 +352,7 @@ def test_what_bounds_the_gap_of_a_rim_holds(body):
 
 @numba.njit
 def stop_along(rows, velocity, minverse, v):
-    """Call the kernel, which only kernels can."""
+    """Call `active_set.stop_along`, which has no Python wrapper."""
     return active_set.stop_along(rows, velocity, minverse, v)
 
 
@@ -378,8 +378,8 @@ def test_what_stops_along_rows_does_so_by_the_least_change(seed, rows, size, ran
     assert energy == pytest.approx(gained, rel=1e-9, abs=1e-9)
 
 
-def test_rows_that_hardly_differ_are_stopped_too_where_that_costs_little():
-    """Two rows but for 10⁻⁷ the same: what moves along their difference only is seen as 10⁻¹¹."""
+def test_stop_along_nearly_parallel_rows():
+    """Two rows differ by 10⁻⁷, so a velocity of 10⁻⁴ along their difference has a residual of 10⁻¹¹."""
     rows = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 + 1e-7, 0.0]])
     right, off = np.array([0.3, -0.3, 1.0]), np.array([-1e-4, 1e-4, 0.0])
     v = right + off

@@ -1,4 +1,4 @@
-"""What is remembered of a scene from run to run is forgotten when its model changes, and is never shared."""
+"""Cached data of a scene: recomputed when the model changes, and independent of other runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def sphere_above(radius=0.1):
     return Scene(ball(), [Contact("center", Plane(), radius=radius, restitution=0.5, name="ball")])
 
 
-def test_a_joint_limit_that_is_moved_holds_where_it_is_now():
+def test_changed_joint_limit_takes_effect():
     model = slider()
     model.upperPositionLimit = np.array([1.0, np.inf, np.inf])
     scene = Scene(model, without=["gravity"])
@@ -26,7 +26,7 @@ def test_a_joint_limit_that_is_moved_holds_where_it_is_now():
         assert run(scene, np.zeros(3), [1.0, 0, 0], 2.0).impacts[0].time == pytest.approx(bound, rel=1e-12)
 
 
-def test_a_frame_that_is_moved_touches_where_it_is_now():
+def test_changed_frame_placement_takes_effect():
     scene = sphere_above()
     start = [0, 0, 1.0, *UP]
     assert run(scene, start, np.zeros(6), 0.5).impacts[0].time == pytest.approx(
@@ -38,7 +38,7 @@ def test_a_frame_that_is_moved_touches_where_it_is_now():
     assert found == pytest.approx(np.sqrt(2 * 0.5 / G), rel=1e-9)
 
 
-def test_a_joint_that_is_moved_counts_in_the_size_and_the_reach():
+def test_changed_joint_placement_recomputes_layout():
     model = slider()
     scene = Scene(model, [Contact(model.frames[-1].name, Plane(point=(0, 0, -5.0)))])
     before = scene.layout()
@@ -47,7 +47,7 @@ def test_a_joint_that_is_moved_counts_in_the_size_and_the_reach():
     assert scene.layout() is not before
 
 
-def test_runs_one_after_another_and_inside_each_other_are_the_same_to_the_last_bit():
+def test_repeated_and_nested_runs_are_bitwise_equal():
     scene = sphere_above()
     start, v = [0, 0, 0.5, *UP], np.array([0.3, 0, 0, 1.0, 2.0, 0])
     alone = simulate(scene, start, v, 1.0)
@@ -65,7 +65,7 @@ def test_runs_one_after_another_and_inside_each_other_are_the_same_to_the_last_b
         assert np.array_equal(other.v, alone.v)
 
 
-def test_a_scene_that_has_run_can_be_pickled():
+def test_scene_can_be_pickled_after_a_run():
     scene = sphere_above()
     first = run(scene, [0, 0, 0.5, *UP], np.zeros(6), 0.5)
     second = run(pickle.loads(pickle.dumps(scene)), [0, 0, 0.5, *UP], np.zeros(6), 0.5)

@@ -1,4 +1,4 @@
-"""How contacts are told apart in what a scene reports, and which starts of held ones are refused."""
+"""Names of contacts in a scene, and initial states of held contacts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def labels(scene: Scene) -> list[str]:
     return [contact.label for contact in (*scene.contacts, *scene.held)]
 
 
-def test_one_frame_may_meet_two_planes() -> None:
+def test_one_frame_with_two_planes() -> None:
     scene = Scene(ball(), [Contact("center", plane, restitution=0.8, radius=0.1) for plane in (FLOOR, WALL)])
     assert labels(scene) == ["center on plane 1", "center on plane 2"]
     trajectory = simulate(scene, [0, 0, 0.2, *UP], [3.0, 0, 0, 0, 0, 0], 0.4)
@@ -33,13 +33,13 @@ def test_one_frame_may_meet_two_planes() -> None:
     assert first["center on plane 2"].time == pytest.approx(0.9 / 3.0)
 
 
-def test_one_plane_may_be_met_in_two_points() -> None:
+def test_two_points_on_one_plane() -> None:
     corners = [Contact("center", FLOOR, offset=(x, 0, 0)) for x in (-0.1, 0.1)]
     assert labels(Scene(ball(), corners)) == ["center on plane 1", "center on plane 2"]
     assert labels(Scene(ball(), corners[:1], held=corners[1:])) == ["center on plane 1", "center on plane 2"]
 
 
-def test_names_that_are_given_stay() -> None:
+def test_given_names_are_kept() -> None:
     contacts = [
         Contact("center", FLOOR),
         Contact("center", FLOOR, offset=(0.1, 0, 0), name="center on plane 1"),
@@ -53,14 +53,14 @@ def test_names_that_are_given_stay() -> None:
     assert found == ["center on plane 2", "center on plane 1", "center on plane 3", "wall", "body on plane"]
 
 
-def test_one_contact_given_twice_is_refused() -> None:
+def test_duplicate_contact_or_name_raises() -> None:
     with pytest.raises(pinimpact.InputError, match="'center on plane' is given twice"):
         Scene(ball(), [Contact("center", FLOOR), Contact("center", FLOOR)])
     with pytest.raises(pinimpact.InputError, match="2 contacts are called 'foot'"):
         Scene(ball(), [Contact("center", plane, name="foot") for plane in (FLOOR, WALL)])
 
 
-def test_a_contact_may_not_bear_the_name_of_a_limit_or_of_a_joint_that_sticks() -> None:
+def test_contact_named_like_joint_limit_or_dry_joint_raises() -> None:
     model = pendulum()
     model.upperPositionLimit = np.array([0.5])
     with pytest.raises(pinimpact.InputError, match=r"'hinge upper'.*joint limit"):
@@ -74,7 +74,7 @@ def test_a_contact_may_not_bear_the_name_of_a_limit_or_of_a_joint_that_sticks() 
 
 @pytest.mark.parametrize("field", ["contacts", "held"])
 @pytest.mark.parametrize("value", [3, ["center"], [None]])
-def test_what_is_no_contact_is_refused(field: str, value: object) -> None:
+def test_invalid_contacts_raise(field: str, value: object) -> None:
     with pytest.raises(pinimpact.InputError, match=f"^{field}: ") as caught:
         Scene(ball(), **{field: value})
     assert caught.value.field == field
@@ -91,13 +91,13 @@ def test_what_is_no_contact_is_refused(field: str, value: object) -> None:
         ("resting_speed", np.inf),
     ],
 )
-def test_numbers_that_are_none_are_refused(field: str, value: object) -> None:
+def test_invalid_numbers_raise(field: str, value: object) -> None:
     with pytest.raises(pinimpact.InputError, match=f"^{field}: ") as caught:
         Scene(ball(), **{field: value})
     assert caught.value.field == field
 
 
-def test_a_scene_file_names_contacts_by_its_planes(tmp_path: Path) -> None:
+def test_scene_file_names_contacts_by_planes(tmp_path: Path) -> None:
     text = (SCENES / "ball_on_conveyor.toml").read_text(encoding="utf-8")
     text = text.replace("ball.urdf", str(SCENES / "ball.urdf")).replace('name = "ball on belt"\n', "")
     path = tmp_path / "scene.toml"
@@ -115,10 +115,10 @@ def test_a_scene_file_names_contacts_by_its_planes(tmp_path: Path) -> None:
     assert labels(solo) == [f"{foot}_FOOT on floor" for foot in ("FL", "FR", "HL", "HR")]
 
 
-# ---- contacts that can touch, and that are held
+# ---- reachable and held contacts
 
 
-def test_a_surface_beyond_limits_that_do_not_act_is_watched() -> None:
+def test_surface_beyond_ignored_joint_limits_is_reachable() -> None:
     model = slider()
     unbounded(model)
     model.lowerPositionLimit, model.upperPositionLimit = np.full(3, -0.1), np.full(3, 0.1)
@@ -130,7 +130,7 @@ def test_a_surface_beyond_limits_that_do_not_act_is_watched() -> None:
 
 
 @pytest.mark.parametrize("height", [0.377, -0.377])
-def test_what_is_held_starts_at_its_surface(height: float) -> None:
+def test_held_contact_far_from_its_surface_raises(height: float) -> None:
     rod = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(-0.5, 0, 0)])
     scene = Scene(rod, held=[Contact("tip0", FLOOR, name="foot")])
     with pytest.raises(
@@ -140,7 +140,7 @@ def test_what_is_held_starts_at_its_surface(height: float) -> None:
     assert caught.value.field == "q0"
 
 
-def test_a_held_contact_keeps_the_small_gap_that_it_starts_with() -> None:
+def test_held_contact_keeps_small_initial_gap() -> None:
     rod = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(-0.5, 0, 0)])
     foot = Contact("tip0", FLOOR)
     trajectory = run(Scene(rod, held=[foot]), [0, 0, 3e-4, *UP], np.zeros(6), 0.3)

@@ -1,4 +1,4 @@
-"""Scenes: the plan of effects, bad input, what is kept of a run, and the scenes that users have."""
+"""Scenes: the plan of effects, invalid input, recorded data, and typical scenes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ START = ([0, 0, 0.6, *UP], [0.3, 0, 0, 0, 2.0, 0])
 # ---- the plan
 
 
-def test_the_plan_gives_a_reason_for_every_effect():
+def test_plan_gives_reason_for_every_effect():
     model = pendulum()
     model.damping, model.armature = np.array([0.1]), np.array([0.0])
     plan = Scene(model, [Contact("tip", Plane(point=(0, 0, -5.0)), friction=0.5)]).plan()
@@ -41,7 +41,7 @@ def test_the_plan_gives_a_reason_for_every_effect():
     )
 
 
-def test_what_is_switched_off_against_the_plan_is_said_in_the_trajectory():
+def test_trajectory_lists_effects_switched_off():
     scene = dropped_ball(without=["restitution", "joint damping"])
     trajectory = run(scene, *START, 0.5)
     assert trajectory.switched_off == ("restitution",)
@@ -50,7 +50,7 @@ def test_what_is_switched_off_against_the_plan_is_said_in_the_trajectory():
 
 
 @pytest.mark.parametrize("name", ["spatial slip", "lightning"])
-def test_what_cannot_be_switched_off_is_refused(name):
+def test_unknown_effect_in_without_raises(name):
     with pytest.raises(pinimpact.PinimpactError, match=name):
         dropped_ball(without=[name])
 
@@ -58,7 +58,7 @@ def test_what_cannot_be_switched_off_is_refused(name):
 @pytest.mark.parametrize(
     "effect", ["joint damping", "joint friction", "rotor inertia", "control", "restitution"]
 )
-def test_an_effect_of_zero_coefficient_changes_nothing(effect):
+def test_effect_of_zero_coefficient_equals_effect_switched_off(effect):
     def robot(**attributes):
         model = pendulum()
         model.addJoint(1, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0, 0, -1.0])), "elbow")
@@ -76,29 +76,29 @@ def test_an_effect_of_zero_coefficient_changes_nothing(effect):
     idle = (lambda t, q, v: zero) if effect == "control" else None
     contact = Contact("tip", Plane(point=(0, 0, -0.8)), friction=0.2)
     q0, v0 = [1.0, 0.3], [0.0, 1.0]
-    given = run(Scene(model, [contact], control=idle), q0, v0, 1.0, max_step=np.inf)  # the same steps
+    given = run(Scene(model, [contact], control=idle), q0, v0, 1.0, max_step=np.inf)  # take the same steps
     left_out = run(Scene(robot(), [contact], without=[effect]), q0, v0, 1.0)
     assert len(given.impacts) == len(left_out.impacts) > 0
     assert given.q[-1] == pytest.approx(left_out.q[-1], abs=1e-13)
     assert given.v[-1] == pytest.approx(left_out.v[-1], abs=1e-12)
 
 
-def test_a_surface_out_of_reach_costs_no_sampling_and_one_in_reach_is_watched():
+def test_plan_lists_surfaces_out_of_reach():
     far = Scene(pendulum(), [Contact("tip", Plane(point=(0, 0, -1.5)))])
     near = Scene(pendulum(), [Contact("tip", Plane(point=(0, 0, -0.9)))])
     assert far.plan().unreachable == ("tip on plane",)
     assert near.plan().unreachable == ()
 
 
-# ---- bad input
+# ---- invalid input
 
 
-def test_a_start_below_the_surface_says_which_frame_and_how_deep():
+def test_start_below_surface_raises_with_frame_and_depth():
     with pytest.raises(pinimpact.InputError, match=r"center.*0\.0?25 m below"):
         simulate(dropped_ball(), [0, 0, 0.075, *UP], np.zeros(6), 1.0)
 
 
-def test_a_start_beyond_a_joint_limit_is_refused():
+def test_start_beyond_joint_limit_raises():
     model = pendulum()
     model.upperPositionLimit = np.array([0.5])
     with pytest.raises(pinimpact.InputError, match=r"hinge upper"):
@@ -107,7 +107,7 @@ def test_a_start_beyond_a_joint_limit_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "told"),
+    ("field", "value", "message"),
     [
         ("gravity", np.nan, r"model\.gravity: .* finite numbers"),
         ("damping", -1.0, r"model\.damping\[0\]: -1.0 given, .* ≥ 0 .* 'hinge'"),
@@ -117,17 +117,17 @@ def test_a_start_beyond_a_joint_limit_is_refused():
         ("upperPositionLimit", np.nan, r"model\.upperPositionLimit\[0\]: nan given, a bound"),
     ],
 )
-def test_numbers_of_a_model_that_no_robot_has_are_refused(field, value, told):
+def test_invalid_numbers_of_model_raise(field, value, message):
     model = pendulum()
     if field == "gravity":
         model.gravity.linear = np.array([0.0, 0.0, value])
     else:
         setattr(model, field, np.array([value]))
-    with pytest.raises(pinimpact.ModelError, match=told):
+    with pytest.raises(pinimpact.ModelError, match=message):
         Scene(model)
 
 
-def test_a_held_contact_must_be_at_rest():
+def test_moving_held_contact_raises():
     rod = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(-0.5, 0, 0)])
     with pytest.raises(pinimpact.InputError, match=r"v0: .*tip0.*0\.2 m/s"):
         simulate(Scene(rod, held=[Contact("tip0", FLOOR)]), [0, 0, 0, *UP], [0.2, 0, 0, 0, 0, 0], 1.0)
@@ -137,7 +137,7 @@ def test_a_held_contact_must_be_at_rest():
     ("answer", "text"),
     [(np.zeros(2), "shape"), (np.array([np.nan, 0, 0]), "not finite"), ("fail", "ZeroDivisionError")],
 )
-def test_a_control_that_fails_keeps_what_was_computed(answer, text):
+def test_failing_control_keeps_partial_trajectory(answer, text):
     def control(t, q, v):
         if t < 0.5:
             return np.zeros(3)
@@ -151,18 +151,21 @@ def test_a_control_that_fails_keeps_what_was_computed(answer, text):
     assert partial.q[-1, 2] == pytest.approx(-0.5 * 9.81 * partial.duration**2, rel=1e-9)
 
 
-def test_impacts_that_accumulate_end_in_an_error_with_what_was_computed():
+def test_max_impacts_error_keeps_partial_trajectory():
     last_five = r"max_impacts: .* the last at ('[^']+' \([\d.]+ s\)(, |;)){5}"
     with pytest.raises(pinimpact.SimulationError, match=last_five) as caught:
         simulate(dropped_ball(without=["sustained contact"]), *START, 5.0, max_impacts=20)
     assert len(caught.value.partial.impacts) == 20
 
 
-def test_impacts_of_one_instant_count_once():
+def test_max_impacts_counts_simultaneous_impacts_once():
     corners = [(0.1 * x, 0.1 * y, -0.05) for x in (-1, 1) for y in (-1, 1)]
     contacts = [Contact(f"tip{k}", FLOOR, friction=0.3, restitution=0.9) for k in range(4)]
     falls = Scene(free_body(pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), corners), contacts)
-    height, speed = 0.5, np.sqrt(2 * 9.81 * 0.45)  # it lands flat, and lands again after 2 e speed / g
+    height, speed = (
+        0.5,
+        np.sqrt(2 * 9.81 * 0.45),
+    )  # flat landings, the first two 2 e speed / g apart
     third = speed / 9.81 * (1 + 2 * 0.9 + 2 * 0.9**2)
     start = [0, 0, height, *UP], np.zeros(6)
     trajectory = simulate(falls, *start, third + 1e-3, max_impacts=3)
@@ -171,15 +174,15 @@ def test_impacts_of_one_instant_count_once():
         simulate(falls, *start, third + 1e-3, max_impacts=2)
 
 
-def test_a_plane_that_moves_along_its_normal_is_refused():
+def test_plane_moving_along_its_normal_raises():
     with pytest.raises(pinimpact.InputError, match="along its normal"):
         Scene(ball(), [Contact("center", Plane(velocity=(0, 0, 1.0)), radius=0.1)])
 
 
-# ---- what is kept
+# ---- recorded data
 
 
-def test_an_interrupt_leaves_what_was_computed():
+def test_interrupt_keeps_partial_trajectory():
     def progress(t, duration):
         if t > 0.7:
             raise KeyboardInterrupt
@@ -197,7 +200,7 @@ def test_an_interrupt_leaves_what_was_computed():
     ]
 
 
-def test_a_trajectory_is_continuous_but_for_its_impacts():
+def test_trajectory_is_continuous_except_at_impacts():
     trajectory = run(dropped_ball(), *START, 2.0)
     for impact in trajectory.impacts:
         before, after = trajectory.at(impact.time, side="left"), trajectory.at(impact.time, side="right")
@@ -214,7 +217,7 @@ def test_a_trajectory_is_continuous_but_for_its_impacts():
         trajectory.at(1.0, side="up")
 
 
-def test_a_saved_trajectory_comes_back_whole(tmp_path):
+def test_saved_trajectory_is_loaded_completely(tmp_path):
     trajectory = run(dropped_ball(), *START, 2.0)
     trajectory.save(tmp_path / "ball.npz")
     again = Trajectory.load(tmp_path / "ball.npz")
@@ -234,17 +237,17 @@ def test_a_saved_trajectory_comes_back_whole(tmp_path):
         Trajectory.load(tmp_path / "broken.npz")
 
 
-def test_a_recorded_path_is_kept_and_comes_back(tmp_path):
+def test_recorded_path_is_saved_and_loaded(tmp_path):
     trajectory = run(dropped_ball(record=True), *START, 0.5)
     assert trajectory.impacts[0].solution.path is not None
     trajectory.save(tmp_path / "ball.npz")
     assert Trajectory.load(tmp_path / "ball.npz").impacts[0].solution.path is not None
 
 
-# ---- scenes that users have
+# ---- typical scenes
 
 
-def test_the_panda_strikes_a_table():
+def test_panda_strikes_table():
     robot = pinimpact.load_robot("panda")
     table = Plane(point=(0, 0, 0.2))
     hand = Contact("panda_hand_tcp", table, friction=0.4, restitution=0.5, name="hand")
@@ -255,7 +258,7 @@ def test_the_panda_strikes_a_table():
     assert min(hand.gap(robot.model, data, q) for q in trajectory.q) > -1e-9
 
 
-def test_a_dropped_rod_chatters_to_rest():
+def test_dropped_rod_chatters_to_rest():
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-4, 1 / 12, 1 / 12]))
     rod = free_body(inertia, [(-0.5, 0, 0), (0.5, 0, 0)])
     contacts = [Contact(f"tip{k}", FLOOR, friction=0.4, restitution=0.5, radius=0.01) for k in range(2)]
@@ -284,7 +287,7 @@ def test_solo12_lands_on_four_feet():
     assert all(c.gap(model, data, q) > -1e-9 for q in trajectory.q for c in contacts)
 
 
-def test_two_arms_strike_each_other():
+def test_two_arms_collide():
     arm = pinimpact.load_robot("ur5").model
     other = pin.SE3(pin.utils.rotate("z", np.pi), np.array([1.3, 0.2183, 0]))
     model = pin.appendModel(_renamed(arm, "left_"), _renamed(arm, "right_"), 0, other)

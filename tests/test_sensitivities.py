@@ -1,4 +1,4 @@
-"""Derivatives of motions against closed forms and against differences of fourth order of `simulate`."""
+"""Derivatives of motions, against closed forms and fourth-order finite differences of `simulate`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FREE = {"without": ("joint limits",)}
 
 
 def point(*names):
-    """Return balls of 1 kg that move without turning, with frames at their centres."""
+    """Return a model of balls of 1 kg on translation joints, with frames at their centres."""
     model = pin.Model()
     for name in names:
         joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
@@ -47,7 +47,7 @@ def point(*names):
 
 
 def changed(scene, names, change):
-    """Return a scene with other coefficients."""
+    """Return the scene with coefficients `names` ("kind:label") increased by `change`."""
     contacts = []
     for contact in scene.contacts:
         new = {}
@@ -59,8 +59,8 @@ def changed(scene, names, change):
     return replace(scene, contacts=contacts)
 
 
-def slope(scene, q0, v0, duration, towards, names=(), step=2e-5):
-    """Return how the final state changes in a direction, by differences."""
+def difference_quotient(scene, q0, v0, duration, towards, names=(), step=2e-5):
+    """Return the directional derivative of the final state by finite differences of fourth order."""
     model = scene.model
     nv = model.nv
 
@@ -74,7 +74,7 @@ def slope(scene, q0, v0, duration, towards, names=(), step=2e-5):
         return run, run.q[-1], run.v[-1]
 
     runs = [final(s) for s in (-2, -1, 0, 1, 2)]
-    # slip that ends may leave errors of steps to an impact without collision, which is no kink
+    # integration errors at the end of slip may cause a tiny impact without collision, which is not a kink
     orders = [
         [record.source for record in run[0].impacts if abs(record.v_after - record.v_before).max() > 1e-9]
         for run in runs
@@ -85,8 +85,8 @@ def slope(scene, q0, v0, duration, towards, names=(), step=2e-5):
     return (a - 8 * b + 8 * c - d) / (12 * step)
 
 
-def agrees(scene, q0, v0, duration, seed, names=(), rtol=1e-10, tolerance=1e-6):
-    """Compare the sensitivity at the end in a random direction; return the trajectory."""
+def check_sensitivity(scene, q0, v0, duration, seed, names=(), rtol=1e-10, tolerance=1e-6):
+    """Compare the final sensitivity in a random direction with finite differences; return the trajectory."""
     n = 2 * scene.model.nv
     towards = np.random.default_rng(seed).normal(size=n + len(names))
     run = simulate(
@@ -99,13 +99,13 @@ def agrees(scene, q0, v0, duration, seed, names=(), rtol=1e-10, tolerance=1e-6):
     found = run.sensitivity(duration)
     moved = found.state @ towards[:n]
     moved += sum(by * e for by, e in zip(found.parameters.values(), towards[n:], strict=True))
-    expected = slope(scene, q0, v0, duration, towards, names)
+    expected = difference_quotient(scene, q0, v0, duration, towards, names)
     assert np.linalg.norm(moved - expected) <= tolerance * np.linalg.norm(expected)
     return run
 
 
 def panda(seed, above=0.05):
-    """Return a Panda with damping and rotors, a state that swings, and a plane that far below its hand."""
+    """Return a Panda with damping and armature, q, v, and a contact of its hand `above` m over a plane."""
     model, data = load("panda")
     rng = np.random.default_rng(seed)
     model.damping, model.armature = rng.uniform(0, 2, 9), rng.uniform(0, 0.3, 9)
@@ -119,23 +119,23 @@ def panda(seed, above=0.05):
 
 
 def modes(run):
-    """Return the modes that a run has been in."""
+    """Return all pairs (source, mode) of a run."""
     return {(interval.source, interval.mode) for interval in run.modes}
 
 
 # ---- closed forms
 
 
-def test_a_bouncing_ball():
-    # [[−e, 0], [−(1 + e) g/v⁻, −e]] of height and rate
+def test_bouncing_ball():
+    # saltation matrix of (height, rate): [[−e, 0], [−(1 + e) g/v⁻, −e]]
     scene = Scene(point("ball"), [Contact("ball centre", Plane(), 0.0, 0.4, name="ball")])
     found = pinimpact.saltation_matrix(scene, "ball", np.zeros(3), [0.3, 0.0, -2.0])
     assert np.allclose(found[np.ix_([2, 5], [2, 5])], [[-0.4, 0.0], [1.4 * 9.81 / 2.0, -0.4]], rtol=1e-13)
     assert np.allclose(found[np.ix_([0, 3], [0, 3])], np.eye(2), atol=1e-15)
 
 
-def test_derivatives_after_the_last_bounce_are_flagged():
-    # rebounds at e v, e² v, … take 2 eⁿ v/g each; those below the resting speed are left out
+def test_derivatives_after_last_bounce_are_flagged():
+    # rebound n, of speed eⁿ v, takes 2 eⁿ v/g; rebounds below the resting speed are omitted
     e, v, g = 0.5, 2.0, 9.81
     contact = Contact("ball centre", Plane(), 0.0, e, name="ball")
     scene = Scene(point("ball"), [contact], resting_speed=1e-3)
@@ -150,7 +150,7 @@ def test_derivatives_after_the_last_bounce_are_flagged():
     assert run.sensitivity(1.0).boundary & Boundary.LAST_BOUNCE == 0
 
 
-def test_two_balls_swap_their_motions():
+def test_elastic_balls_exchange_their_motions():
     # at e = 1 and without gravity x₂ = x₁ + v₁ t afterwards
     gravity = {"without": ("gravity",)}
     contact = Contact("a centre", Sphere(radius=0.1, body="b centre"), 0.0, 1.0, radius=0.1)
@@ -161,14 +161,14 @@ def test_two_balls_swap_their_motions():
     assert np.allclose(found.state[0, [0, 3, 6, 9]], [0.0, 1.0, 0.0, 1.0], atol=1e-12)
 
 
-def test_a_block_slides_to_a_stop():
-    # it stops v²/(2μg) further on, so that ∂x/∂v = v/(μg) and ∂x/∂μ = −v²/(2μ²g)
+def test_block_slides_to_rest():
+    # the stopping distance is v²/(2μg), so ∂x/∂v = v/(μg) and ∂x/∂μ = −v²/(2μ²g)
     scene = Scene(point("block"), [Contact("block centre", Plane(), 0.2, name="block")])
     v = np.array([1.5, 0.0, 0.0])
     run = simulate(scene, np.zeros(3), v, 1.0, sensitivities=["state", "friction:block"])
     found = run.sensitivity(1.0)
     assert found.boundary == Boundary.CLOSED
-    # straight on its way whatever its direction: v|v|/(2μg)
+    # for any direction the displacement is v|v|/(2μg)
     expected = np.diag([1.0, 0.5]) * 1.5 / (0.2 * 9.81)
     assert np.allclose(found.state[:2, 3:5], expected, atol=1e-9)
     assert np.allclose(found.parameters["friction:block"][:3], [-(1.5**2) / (0.08 * 9.81), 0, 0], rtol=1e-6)
@@ -176,8 +176,8 @@ def test_a_block_slides_to_a_stop():
     assert np.allclose(found.state[:3, :3], np.diag([1.0, 1.0, 0.0]), atol=1e-12)
 
 
-def test_intervals_are_halved_down_to_a_rounding_of_time():
-    # slip stops between two neighbouring numbers, as where several feet stop one after the other
+def test_slip_ending_between_neighbouring_times():
+    # slip ends between two neighbouring floating-point times, as if several feet stopped in succession
     scene = Scene(point("block"), [Contact("block centre", Plane(), 0.2, name="block")])
     run = simulate(scene, np.zeros(3), np.array([1.5, 0.0, 0.0]), 1.0, sensitivities="state")
     slopes, steps = run.sensitivities._slopes, run.sensitivities._steps
@@ -187,8 +187,8 @@ def test_intervals_are_halved_down_to_a_rounding_of_time():
     assert np.isfinite(slopes.along(slopes.initial(), step, step.end)).all()
 
 
-def test_slip_without_speed_has_no_derivative():
-    # as in a step between two impacts that is too short for speed to show
+def test_slip_of_zero_speed_has_no_derivative():
+    # as in a step between two impacts that is too short to change the velocity
     scene = Scene(point("block"), [Contact("block centre", Plane(), 0.2, name="block")])
     run = simulate(scene, np.zeros(3), np.array([1.5, 0.0, 0.0]), 0.5, sensitivities="state")
     slopes = run.sensitivities._slopes
@@ -200,8 +200,8 @@ def test_slip_without_speed_has_no_derivative():
 
 @pytest.mark.parametrize("friction", [0.2, 5.0])
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
-def test_a_robot_that_falls_straight_has_a_derivative_if_it_sticks(scheme, friction):
-    # slip begins at the impact, from a velocity along the floor that is zero but for rounding
+def test_vertically_falling_robot_has_derivative_only_if_it_sticks(scheme, friction):
+    # the tangential velocity before the impact is zero up to rounding
     model, _ = load("solo12")
     q = pin.integrate(
         model, pinimpact.load_robot("solo12").q0, np.array([0, 0, 0.05, 0.3, 0.2, 0.1] + [0.0] * 12)
@@ -216,22 +216,26 @@ def test_a_robot_that_falls_straight_has_a_derivative_if_it_sticks(scheme, frict
     assert bool(found.boundary & Boundary.START_AT_REST) == (friction == 0.2)
 
 
-def test_a_block_slides_up_and_back():
-    # up a slope too steep to stick on
-    slope, mu, speed = 0.5, 0.2, 1.0
-    normal = (-np.sin(slope), 0.0, np.cos(slope))
+def test_block_slides_up_slope_and_back():
+    # up a difference_quotient too steep to stick on
+    difference_quotient, mu, speed = 0.5, 0.2, 1.0
+    normal = (-np.sin(difference_quotient), 0.0, np.cos(difference_quotient))
     scene = Scene(point("block"), [Contact("block centre", Plane(normal=normal), mu, name="block")])
-    up = np.array([np.cos(slope), 0.0, np.sin(slope)])
+    up = np.array([np.cos(difference_quotient), 0.0, np.sin(difference_quotient)])
     run = simulate(scene, np.zeros(3), speed * up, 0.6, sensitivities="state")
     found = run.sensitivity(0.6).state
-    rise, fall = 9.81 * np.sin(slope) * np.array([1 + mu / np.tan(slope), 1 - mu / np.tan(slope)])
+    rise, fall = (
+        9.81
+        * np.sin(difference_quotient)
+        * np.array([1 + mu / np.tan(difference_quotient), 1 - mu / np.tan(difference_quotient)])
+    )
     # v(t) = −fall (t − v₀/rise)
     assert np.isclose(up @ found[3:, 3:] @ up, fall / rise, rtol=1e-9)
     top = speed / rise
     assert np.isclose(up @ found[:3, 3:] @ up, top + fall / rise * (0.6 - top), rtol=1e-7)
 
 
-def test_what_begins_to_slide_at_the_start_has_a_derivative_on_each_side_only():
+def test_incipient_slip_at_start_has_one_sided_derivatives_only():
     # v(1) = g − f + v(0), against friction (g − f)(1 + v(0)/(g + f))
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "z")
@@ -248,7 +252,7 @@ def test_what_begins_to_slide_at_the_start_has_a_derivative_on_each_side_only():
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])
-def test_a_block_that_begins_to_slide_down_a_slope(friction):
+def test_block_starts_to_slide_down_a_slope(friction):
     model, angle = pin.Model(), 0.5
     joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "block")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
@@ -258,14 +262,14 @@ def test_a_block_that_begins_to_slide_down_a_slope(friction):
     found = simulate(scene, np.zeros(3), np.zeros(3), 1.0, sensitivities="state").sensitivity(1.0)
     rest = Boundary.START_AT_REST if friction > 0.0 else Boundary.NONE
     assert found.boundary == Boundary.CLOSED | rest
-    along = np.eye(3) - np.outer(plane.normal, plane.normal)  # changes that open the contact are projected
+    along = np.eye(3) - np.outer(plane.normal, plane.normal)  # variations that open the contact are projected
     assert found.state[:3, :3] == pytest.approx(along, abs=1e-9)
     down = along @ [0.0, 0.0, -1.0]
     assert found.state[:, 3:] @ down == pytest.approx(np.append(down, down), abs=1e-6)
 
 
-def test_a_planar_block_sticks():
-    # nothing moves across the plane, so that this force of the contact is none
+def test_planar_block_sticks():
+    # the model cannot move out of its plane, so the contact force has no such component
     model = pin.Model()
     x = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     z = model.addJoint(x, pin.JointModelPZ(), pin.SE3.Identity(), "z")
@@ -284,22 +288,22 @@ def test_a_planar_block_sticks():
 
 
 @pytest.mark.parametrize("law", pinimpact.LAWS)
-def test_a_panda_bounces(law):
+def test_panda_rebounds(law):
     model, q, v, contact = panda(0)
     scene = Scene(model, [replace(contact, law=law)], **FREE)
-    run = agrees(scene, q, v, 0.15, 0, ("friction:hand", "restitution:hand"))
+    run = check_sensitivity(scene, q, v, 0.15, 0, ("friction:hand", "restitution:hand"))
     assert run.impacts
 
 
 @pytest.mark.parametrize(("seed", "friction"), [(1, 0.2), (3, 0.2), (0, 1.5)])
-def test_a_panda_lands_slips_and_sticks(seed, friction):
+def test_panda_lands_slips_and_sticks(seed, friction):
     model, q, v, contact = panda(seed)
     scene = Scene(model, [replace(contact, restitution=0.0, friction=friction)], **FREE)
-    run = agrees(scene, q, v, 0.15, seed, ("friction:hand",))
+    run = check_sensitivity(scene, q, v, 0.15, seed, ("friction:hand",))
     assert ("hand", "stick") in modes(run)
 
 
-def test_a_contact_out_of_reach_changes_nothing():
+def test_contact_out_of_reach_has_no_effect():
     model, q, v, contact = panda(0)
     far = Contact("panda_link1", Plane((0.0, 0.0, -9.0)), friction=0.3, name="far")
     scene = Scene(model, [far, contact], **FREE)
@@ -311,8 +315,8 @@ def test_a_contact_out_of_reach_changes_nothing():
     assert np.array_equal(hand, alone.sensitivity(0.1).parameters["restitution:hand"])
 
 
-def test_saltation_at_an_impact_that_stays_closed():
-    # flight, impact, contact: Ξ between differences of the motion before and after
+def test_saltation_at_impact_after_which_contact_stays_active():
+    # flight, impact, contact: Ξ times the derivatives of the motion before and after
     model, q, v, contact = panda(0)
     scene = Scene(model, [replace(contact, restitution=0.0, friction=1.5)], **FREE)
     run = simulate(scene, q, v, 0.15, **EXACT, sensitivities=["state"])
@@ -322,8 +326,8 @@ def test_saltation_at_an_impact_that_stays_closed():
     assert np.allclose(found @ before, run.sensitivity(record.time).state, atol=1e-8)
 
 
-def test_saltation_is_refused_where_something_else_is_closed():
-    # the stop bears the joint until the hand lifts it off, so that v̇ before the impact is that with the stop
+def test_saltation_raises_if_another_contact_is_active():
+    # the joint limit is active until the impact of the hand, so v̇ before the impact includes its force
     model, q, v, contact = panda(0)
     unbounded(model)
     model.lowerPositionLimit[3] = q[3] - 0.05
@@ -334,12 +338,12 @@ def test_saltation_is_refused_where_something_else_is_closed():
     with pytest.raises(pinimpact.InputError, match="'panda_joint4 lower' is closed"):
         pinimpact.saltation_matrix(scene, "hand", record.q, record.v_before)
     towards = np.random.default_rng(0).normal(size=18)
-    expected = slope(scene, q, v, 0.12, towards)
+    expected = difference_quotient(scene, q, v, 0.12, towards)
     assert np.linalg.norm(run.sensitivity(0.12).state @ towards - expected) < 1e-8 * np.linalg.norm(expected)
 
 
-def test_a_box_that_slides_with_a_corner_that_would_pull():
-    # four corners share the load in several ways, and the friction is another in each; one of them bears none
+def test_box_slides_with_one_unloaded_corner():
+    # the load distribution of four corners is not unique and affects friction; one corner is unloaded
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.3), pin.SE3.Identity())
@@ -352,12 +356,12 @@ def test_a_box_that_slides_with_a_corner_that_would_pull():
     normal = np.array([run.forces(contact.label, 0.05)[2] for contact in scene.contacts])
     assert normal.min() == 0.0 < np.sort(normal)[1]
     towards = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.7, 0.3, -0.4, 0.0, 0.0, 0.0, 1.0])
-    expected = slope(scene, q, v, 0.05, towards)
+    expected = difference_quotient(scene, q, v, 0.05, towards)
     moved = run.sensitivity(0.05).state @ towards
     assert np.linalg.norm(moved - expected) < 1e-7 * np.linalg.norm(expected)
 
 
-def held_at(offset, tip):
+def box_with_held_point(offset, tip):
     """Return a box whose point is held at the origin, the same box on a ball joint, and J of the box (6, 3).
 
     Both have a frame at the tip, and states (q, v) follow from (R, ω) of the box.
@@ -377,9 +381,9 @@ def held_at(offset, tip):
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
 @pytest.mark.parametrize("at_impact", [False, True])
-def test_a_held_point_is_a_ball_joint(restitution, at_impact):
+def test_held_point_is_equivalent_to_ball_joint(restitution, at_impact):
     offset, tip = np.array([0.3, 0.1, 0.05]), np.array([-0.4, 0.1, -0.1])
-    box, ball, moves = held_at(offset, tip)
+    box, ball, moves = box_with_held_point(offset, tip)
     turned, rate = pin.exp3(np.array([0.1, -0.2, 0.3])), np.array([0.4, -1.5, 0.3])
     lowest = turned @ (tip - offset)
     floor = Plane(point=tuple(lowest - [0.0, 0.0, 0.0 if at_impact else 0.02]), normal=(0.1, 0.05, 1.0))
@@ -407,8 +411,8 @@ def test_a_held_point_is_a_ball_joint(restitution, at_impact):
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("law", pinimpact.LAWS)
 @pytest.mark.parametrize("sliding", [0.1, 0.3])
-def test_by_a_restitution_of_zero_derivatives_are_those_of_small_bounces(scheme, law, sliding):
-    # μ v (1 + e)/(1 − e) of the impacts and μ_s (g t − 2ev/(1 − e)) meanwhile take the speed of sliding
+def test_derivative_by_zero_restitution_is_limit_of_small_bounces(scheme, law, sliding):
+    # impacts reduce the sliding speed by μ v (1 + e)/(1 − e), sliding friction by μ_s (g t − 2ev/(1 − e))
     block = Contact("block centre", Plane(), 0.2, law=law, sliding_friction=sliding, name="block")
     start, options = (np.array([0.0, 0.0, 0.05]), [1.2, 0.9, -0.9]), {"scheme": scheme, "dt": 1e-3}
     names = ["state", "restitution:block"]
@@ -425,7 +429,7 @@ def test_by_a_restitution_of_zero_derivatives_are_those_of_small_bounces(scheme,
     assert found.boundary == Boundary.BOUND
 
 
-def test_a_stop_at_e_of_zero_before_it_slides_on_has_no_derivative_by_e():
+def test_sticking_impact_before_sliding_has_no_derivative_by_restitution():
     block = Contact("block centre", Plane(normal=(0.5, 0.0, 1.0)), 0.9, sliding_friction=0.2, name="block")
     names = ["state", "restitution:block"]
     run = simulate(Scene(point("block"), block), np.zeros(3), [0.0, 0.0, -1.0], 0.1, sensitivities=names)
@@ -437,12 +441,12 @@ def test_a_stop_at_e_of_zero_before_it_slides_on_has_no_derivative_by_e():
     assert found.boundary & Boundary.EVENTS_COINCIDE
 
 
-def test_drives_that_saturate_and_a_belt():
+def test_saturated_drives_and_moving_belt():
     model, q, v, contact = panda(2)
     belt = replace(contact.plane, velocity=tuple(np.cross(contact.plane.normal, (0.0, 0.5, 0.0))))
     hand = replace(contact, plane=belt, restitution=0.0)
     scene = Scene(model, [hand], control=JointPD(100.0, 10.0, q + 0.3, limits=30.0), **FREE)
-    run = agrees(scene, q, v, 0.2, 3)
+    run = check_sensitivity(scene, q, v, 0.2, 3)
     assert any(mode == "saturated" for _, mode in modes(run))
 
 
@@ -458,14 +462,14 @@ def with_jacobian(stiffness, damping, q_ref):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.0625, 0.15])
-def test_a_sampled_control_of_a_mass(delay):
+def test_sampled_control_of_point_mass(delay):
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
     k, d, period, duration = 30.0, 2.0, 0.0625, 0.73
     scene = Scene(model, control=with_jacobian(k, d, np.zeros(1)), period=period, delay=delay)
     found = simulate(scene, [0.1], [0.2], duration, sensitivities="state").sensitivity(duration)
-    # x' = v, v' = u/2, u = −k x − d v of the sample that acts, all of it linear
+    # linear: x' = v, v' = u/2, u = −k x − d v at the sample in use
     x, t, force, waiting = np.eye(2), 0.0, np.zeros((1, 2)), []
     samples = [period * i for i in range(12)]
     changes = sorted({*samples, *(sample + delay for sample in samples), duration})
@@ -484,17 +488,17 @@ def test_a_sampled_control_of_a_mass(delay):
 
 
 @pytest.mark.parametrize("period", [None, 0.013])
-def test_a_panda_bounces_under_a_control_that_is_a_function(period):
+def test_panda_rebounds_under_control_function(period):
     model, q, v, hand = panda(5)
     control = with_jacobian(60.0, 5.0, q + 0.2)
     scene = Scene(model, [hand], control=control, period=period, delay=0.004 if period else 0.0, **FREE)
-    run = agrees(scene, q, v, 0.16, 5, ("friction:hand", "restitution:hand"))
+    run = check_sensitivity(scene, q, v, 0.16, 5, ("friction:hand", "restitution:hand"))
     assert run.impacts
 
 
 @pytest.mark.parametrize("across", [0.0, 1.0])
-def test_a_sampled_control_lets_a_block_slip_and_stick(across):
-    # where slip turns, errors of steps leave a speed at its end
+def test_block_slips_and_sticks_under_sampled_control(across):
+    # if the direction of slip changes, integration errors leave a small speed at its end
     model = point("block")
     model.gravity.linear[:] = 0.0, 0.0, -9.81
     block = Contact("block centre", Plane(), 0.3, name="block")
@@ -510,12 +514,12 @@ def test_a_sampled_control_lets_a_block_slip_and_stick(across):
     found = run.sensitivity(1.0)
     assert not np.isnan(found.state).any()
     for towards in np.eye(6)[[0, 1, 3, 4] if across else [0, 3]]:  # along the plane
-        expected = slope(scene, q, v, 1.0, towards, step=1e-6)
+        expected = difference_quotient(scene, q, v, 1.0, towards, step=1e-6)
         assert np.abs(found.state @ towards - expected).max() <= 1e-6 * max(np.abs(expected).max(), 1.0)
 
 
 @pytest.mark.parametrize("period", [None, 1e-3])
-def test_a_quadruped_lands_and_trots(period):
+def test_quadruped_lands_and_trots(period):
     model, _ = load("solo12")
     q = np.array(pinimpact.load_robot("solo12").q0)
     q[7:] = np.tile([0.0, 0.7, -1.4], 4)
@@ -546,12 +550,12 @@ def test_a_quadruped_lands_and_trots(period):
     expected = np.concatenate(moved) / (2.0 * e)
     found = run.sensitivity(0.3).state @ towards
     assert np.linalg.norm(found - expected) <= 1e-6 * np.linalg.norm(expected)
-    # feet strike while others are closed, slip and stick
+    # impacts of feet occur while other feet slip or stick
     assert sum(record.group is not None for record in run.impacts) > 5
     assert {"stick", "slip"} <= {mode for _, mode in modes(run)}
 
 
-def test_a_control_derivative_of_the_wrong_shape():
+def test_control_derivative_of_wrong_shape_raises():
     model, q, v, _ = panda(5)
     control = with_jacobian(60.0, 5.0, q)
     control.jacobian = lambda t, q, v: np.zeros((9, 9))
@@ -561,10 +565,12 @@ def test_a_control_derivative_of_the_wrong_shape():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_joints_with_dry_friction(seed):
+def test_dry_friction_in_joints(seed):
     model, q, v, contact = panda(seed)
     model.friction = np.random.default_rng(seed).uniform(0, 8, 9)
-    run = agrees(Scene(model, [replace(contact, friction=0.2)], **FREE), q, v, 0.3, seed, ("friction:hand",))
+    run = check_sensitivity(
+        Scene(model, [replace(contact, friction=0.2)], **FREE), q, v, 0.3, seed, ("friction:hand",)
+    )
     assert any(mode == "stuck" for _, mode in modes(run))
 
 
@@ -575,13 +581,13 @@ def test_joint_limits(restitution):
     v[:] = 0.0
     v[1], v[3], v[5], v[6] = 2.0, 1.0, 1.5, -0.5
     q[7:] = 0.02
-    run = agrees(scene, q, v, 0.7, 4)
+    run = check_sensitivity(scene, q, v, 0.7, 4)
     assert run.impacts
 
 
 @pytest.mark.parametrize(("seed", "friction", "restitution"), [(0, 0.3, 0.5), (1, 0.2, 0.0), (2, 0.8, 0.3)])
-def test_a_quadruped_on_one_foot(seed, friction, restitution):
-    # a free-flyer, with a foot that is a ball
+def test_one_foot_of_quadruped(seed, friction, restitution):
+    # a free-flying body with a spherical foot
     model, _ = load("solo12")
     rng = np.random.default_rng(seed)
     q = np.array(pinimpact.load_robot("solo12").q0)
@@ -589,13 +595,13 @@ def test_a_quadruped_on_one_foot(seed, friction, restitution):
     q = pin.integrate(model, q, np.array([0, 0, 0, 0.3, 0.2, 0.1, *np.zeros(12)]))
     v = np.array([0.5, 0.3, 0.0, *0.3 * rng.normal(size=15)])
     foot = Contact(FRAMES["solo12"], Plane(), friction, restitution, radius=0.016, name="foot")
-    run = agrees(Scene(model, [foot], **FREE), q, v, 0.3, seed, ("friction:foot",))
+    run = check_sensitivity(Scene(model, [foot], **FREE), q, v, 0.3, seed, ("friction:foot",))
     assert run.impacts
 
 
 @pytest.mark.parametrize(("seed", "friction", "restitution"), [(0, 0.3, 0.5), (1, 0.2, 0.0), (2, 1.5, 0.0)])
-def test_a_coin_that_bounces_and_rolls(seed, friction, restitution):
-    # its lowest point runs along the rim
+def test_coin_bounces_and_rolls(seed, friction, restitution):
+    # the lowest point moves along the rim
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "coin")
     inertia = pin.Inertia(1.0, np.array([0.0, 0.01, 0.0]), np.diag([3e-3, 3e-3, 6e-3]))
@@ -605,7 +611,7 @@ def test_a_coin_that_bounces_and_rolls(seed, friction, restitution):
     coin = Contact("coin centre", plane, friction, restitution, rim=0.1, radius=0.01, name="coin")
     q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.15, 1.2, 0.3, 0.2]))
     v = np.array([0.5, 0.3, 0.0, 0.5, 0.8, 6.0]) + 0.2 * np.random.default_rng(seed).normal(size=6)
-    run = agrees(Scene(model, [coin]), q, v, 0.25, seed, ("friction:coin",), rtol=1e-12)
+    run = check_sensitivity(Scene(model, [coin]), q, v, 0.25, seed, ("friction:coin",), rtol=1e-12)
     assert run.impacts
     assert (("coin", "stick") in modes(run)) == (friction == 1.5)
 
@@ -646,19 +652,19 @@ def above_a_block(shape, turns):
 
 @pytest.mark.parametrize("kind", SHAPES)
 @pytest.mark.parametrize("turns", [False, True])
-def test_shapes_on_a_block(kind, turns):
+def test_convex_shapes_on_block(kind, turns):
     shape, x, v, friction, restitution, duration = SHAPES[kind]
     turned = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, 0.2, 0.1)).coeffs()
     q, v = np.array([*x, *turned, 0.0]), np.array([*v, 0.3])
     surface = Shape("b") if turns else Box((0.8, 0.6, 0.2))
     contact = Contact(geometry="a", plane=surface, friction=friction, restitution=restitution)
-    run = agrees(Scene(above_a_block(shape, turns), contact), q, v, duration, 0, rtol=1e-12)
+    run = check_sensitivity(Scene(above_a_block(shape, turns), contact), q, v, duration, 0, rtol=1e-12)
     features = {step.closed.constants[0, KIND] for step in run._segments if step.closed is not None}
     assert (len(features) > 1) == ("over" in kind)
 
 
-def test_a_ball_joint_and_a_planar_joint():
-    # tangent spaces in which velocities do not commute
+def test_ball_joint_and_planar_joint():
+    # joints whose tangent spaces do not commute
     model = pin.Model()
     base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "slide")
     model.appendBodyToJoint(base, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
@@ -671,14 +677,14 @@ def test_a_ball_joint_and_a_planar_joint():
     model.addFrame(pin.Frame("tip", arm, tip, pin.FrameType.OP_FRAME))
     q = pin.integrate(model, pin.neutral(model), np.array([0.1, 0.2, 0.3, 1.6, 0.5, 0.2]))
     v = np.array([0.5, -0.3, 0.8, 1.0, 2.0, -0.5])
-    run = agrees(Scene(model, [Contact("tip", Plane(point=(0, 0, 0.3)), 0.3, 0.0)]), q, v, 0.8, 0)
+    run = check_sensitivity(Scene(model, [Contact("tip", Plane(point=(0, 0, 0.3)), 0.3, 0.0)]), q, v, 0.8, 0)
     assert run.impacts
 
 
 # ---- steps
 
 
-def test_linearize_a_step():
+def test_linearize_step_of_free_motion():
     model, q, v, contact = panda(1)
     scene = Scene(model, [replace(contact, restitution=0.0, friction=0.2)], **FREE)
     stepper = Stepper(scene, q, v, rtol=1e-12, atol=1e-14)
@@ -703,8 +709,8 @@ def test_linearize_a_step():
     assert modes.trajectory.impacts
 
 
-def test_linearize_where_a_contact_is_closed():
-    # changes that lift a block are those after which it has fallen back
+def test_linearize_with_active_contact():
+    # a variation that lifts the block is followed until it has landed again
     scene = Scene(point("block"), [Contact("block centre", Plane(), 0.5)])
     A, B = found = Stepper(scene, np.zeros(3), np.zeros(3)).linearize([1.0, 0.0, 0.0], 0.1)
     assert found.boundary == Boundary.CLOSED
@@ -712,7 +718,7 @@ def test_linearize_where_a_contact_is_closed():
     assert np.allclose(B, 0.0, atol=1e-15)
     A, B = Stepper(scene, np.zeros(3), [1.0, 0.0, 0.0]).linearize(np.zeros(3), 0.1)
     expected = np.diag([1.0, 1.0 - 0.5 * 9.81 * 0.1, 0.0])
-    expected[0, 2] = 0.5  # twice that is saved in flight, and once lost as it lands
+    expected[0, 2] = 0.5  # flight avoids twice this friction, landing adds it once
     assert np.allclose(A[3:, 3:], expected, atol=1e-9)
     bouncy = replace(scene, resting_speed=1e-7)
     lifted = simulate(bouncy, np.zeros(3), [1.0, 0.0, 1e-4], 0.1, **EXACT)
@@ -721,8 +727,8 @@ def test_linearize_where_a_contact_is_closed():
     assert np.allclose(B[3, [0, 2]], [0.1, 0.05], atol=1e-12)
 
 
-def test_linearize_a_box_that_slides_on_four_corners():
-    # its forces are those of equally stiff contacts, on which friction depends
+def test_linearize_box_sliding_on_four_corners():
+    # friction depends on the normal forces, which are those of equally stiff contacts
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.4, 0.3, 0.2), pin.SE3.Identity())
@@ -748,7 +754,7 @@ def test_linearize_a_box_that_slides_on_four_corners():
 
 
 def same_steps(one, other, tau, dt):
-    """Take a step in two steppers, which are to come to the same."""
+    """Take a step in two steppers and compare the results."""
     for each in (one, other):
         each.step(tau, dt)
     assert np.array_equal(one.q, other.q)
@@ -760,7 +766,7 @@ def same_steps(one, other, tau, dt):
     return found
 
 
-def test_linearize_leaves_the_motion_as_it_is():
+def test_linearize_does_not_change_the_motion():
     model, q, v, contact = panda(1)
     scene = Scene(model, [replace(contact, restitution=0.0, friction=0.2)], **FREE)
     tau = np.random.default_rng(0).normal(size=9)
@@ -772,7 +778,7 @@ def test_linearize_leaves_the_motion_as_it_is():
     assert {("hand", "slip"), ("hand", "stick")} <= modes(run)
 
 
-def test_linearize_leaves_the_motion_as_it_is_where_it_is_refused():
+def test_linearize_that_raises_does_not_change_the_motion():
     # a callback in a time step
     ball = Contact("ball centre", Plane(), 0.0, 0.7, name="ball")
     kick = Event(lambda t, q, v: q[0] - 0.065, lambda t, q, v: v, jacobian=lambda t, q, v: None, name="kick")
@@ -787,7 +793,7 @@ def test_linearize_leaves_the_motion_as_it_is_where_it_is_refused():
     assert run.impacts
 
 
-def test_bounces_that_accumulate_have_no_derivative_unless_they_come_to_rest():
+def test_accumulating_bounces_have_derivative_only_after_rest():
     ball = Contact("ball centre", Plane(), 0.0, 0.7, name="ball")
     scene = Scene(point("ball"), [ball], resting_speed=1e-60)
     with pytest.warns(pinimpact.SteppedWarning):
@@ -800,8 +806,8 @@ def test_bounces_that_accumulate_have_no_derivative_unless_they_come_to_rest():
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.25])
-def test_friction_that_just_holds_is_flagged(friction):
-    """A change to one side lets the block, or the joint, slide."""
+def test_stick_threshold_is_flagged(friction):
+    """A variation to one side makes the block or the joint slide."""
     block = Contact("block centre", Plane(normal=(0.2, 0.0, 1.0)), friction)
     mass = pin.Model()
     joint = mass.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
@@ -818,8 +824,8 @@ def test_friction_that_just_holds_is_flagged(friction):
         assert (Boundary.STICK_THRESHOLD in run.sensitivity(0.1).boundary) == (friction == 0.2)
 
 
-def test_what_touches_without_a_load_has_no_derivative_across():
-    """A ball that falls along a wall: a push away from it meets nothing, one towards it is stopped."""
+def test_unloaded_contact_has_no_derivative_along_its_normal():
+    """A ball moves along a wall: velocities away from the wall are free, those towards it are stopped."""
     wall = Contact("block centre", Plane(normal=(1.0, 0.0, 0.0)), 0.3)
     for scheme in ("event-driven", "time-stepping"):
         options = {"scheme": scheme, "sensitivities": ("state", "friction:block centre on plane")}
@@ -833,7 +839,7 @@ def test_what_touches_without_a_load_has_no_derivative_across():
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("dry", [0.0, 5.0])
-def test_what_rests_on_a_limit_falls_back_onto_it_whichever_that_is(scheme, sign, dry):
+def test_joint_resting_on_lower_or_upper_limit_returns_to_it(scheme, sign, dry):
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -845,8 +851,8 @@ def test_what_rests_on_a_limit_falls_back_onto_it_whichever_that_is(scheme, sign
     assert found.boundary == Boundary.CLOSED
 
 
-def test_an_arm_of_a_micrometre_moves_like_one_of_a_metre():
-    """Its velocities of 1 rad/s and their error are none of its tip, which closes with 1 µm/s."""
+def test_micrometre_arm_has_derivatives_of_metre_arm():
+    """Errors of joint velocities (1 rad/s) must not count as errors of the tip velocity (1 µm/s)."""
     found = []
     for size in (1.0, 1e-6):
         model, joint = pin.Model(), 0
@@ -867,14 +873,14 @@ def test_an_arm_of_a_micrometre_moves_like_one_of_a_metre():
     assert np.allclose(*found, rtol=1e-5)
 
 
-def test_grazing_is_no_number():
+def test_saltation_at_grazing_contact_is_nan():
     ball = Contact("ball centre", Plane(), 0.0, 0.5, name="ball")
     scene = Scene(point("ball"), [ball], resting_speed=1e-12)
     found = pinimpact.saltation_matrix(scene, "ball", np.zeros(3), [0.0, 0.0, -1e-9])
     assert np.isnan(found).all()
 
 
-def test_what_has_no_derivative_is_refused():
+def test_unsupported_derivatives_raise():
     model, q, v, contact = panda(0)
     scene = Scene(model, [contact], **FREE)
 
@@ -904,7 +910,7 @@ def test_what_has_no_derivative_is_refused():
         pinimpact.saltation_matrix(sampled, "hand", q, v)
 
 
-def test_contacts_that_close_at_one_instant_have_no_derivative():
+def test_contacts_closing_simultaneously_have_no_derivative():
     contacts = [Contact(f"{name} centre", Plane(), 0.3, 0.5) for name in "ab"]
     rod = pin.Model()
     joint = rod.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "rod")
@@ -920,8 +926,8 @@ def test_contacts_that_close_at_one_instant_have_no_derivative():
     assert after.boundary & Boundary.EVENTS_COINCIDE
 
 
-def test_balls_that_do_not_feel_each_other_close_at_one_instant():
-    # each has the derivatives that it has alone
+def test_uncoupled_balls_landing_simultaneously_have_derivatives():
+    # each ball has the derivatives of a single ball
     contacts = [Contact(f"{name} centre", Plane(), 0.3, 0.5, name=name) for name in "ab"]
     q, v = np.array([0.0, 0.0, 0.1, 1.0, 0.0, 0.1]), np.array([0.3, 0.1, 0.0, 0.0, 0.2, 0.0])
     run = simulate(Scene(point("a", "b"), contacts), q, v, 0.2, sensitivities=("state", "friction:b"))
@@ -938,7 +944,7 @@ def test_balls_that_do_not_feel_each_other_close_at_one_instant():
     assert not found.boundary
 
 
-def test_events_without_callback_change_nothing():
+def test_events_without_callback_have_no_effect():
     model, q, v, contact = panda(0)
     plain = simulate(Scene(model, [contact], **FREE), q, v, 0.1, sensitivities="state")
     halfway = plain.at(0.03)[0][3]
@@ -949,8 +955,8 @@ def test_events_without_callback_change_nothing():
     assert np.allclose(run.sensitivity(0.1).state, plain.sensitivity(0.1).state, atol=1e-7)
 
 
-def test_a_callback_that_sets_the_velocity():
-    # when, where and by how much it kicks depends on time and state
+def test_callback_sets_velocity():
+    # the event and the new velocity depend on time and state
     model, q, v, contact = panda(0)
     matrix = 0.1 * np.random.default_rng(1).normal(size=(9, 9))
     threshold = q[3] + 0.1 * v[5] - 0.03
@@ -967,13 +973,13 @@ def test_a_callback_that_sets_the_velocity():
         return np.vstack([np.hstack([np.diag(0.2 * np.cos(q)), by_v, (matrix @ v)[:, None]]), of_guard])
 
     kicks = [Event(guard, kick, name="kick", jacobian=jacobian)]
-    run = agrees(Scene(model, [contact], events=kicks, **FREE), q, v, 0.15, 3)
+    run = check_sensitivity(Scene(model, [contact], events=kicks, **FREE), q, v, 0.15, 3)
     assert len(run.events) > 1
     assert run.impacts
 
 
-def test_a_callback_that_speeds_a_sliding_block_up():
-    # at x = c: from u = √(v² − 2μgc) to k u
+def test_callback_accelerates_sliding_block():
+    # at x = c, the velocity changes from u = √(v² − 2μgc) to k u
     mu, v, c, k, duration = 0.2, 1.5, 0.2, 1.3, 0.5
     row = np.eye(7)
 
@@ -988,28 +994,28 @@ def test_a_callback_that_speeds_a_sliding_block_up():
     assert np.isclose(found.state[3, 0], (k - 1.0) * mu * 9.81 / u, rtol=1e-7)
 
 
-def test_slip_that_reverses_on_a_curved_path():
-    # a spring draws a hand back that slides along the floor
+def test_slip_reverses_on_curved_path():
+    # a spring pulls back a hand that slides along the floor
     model, q, _, contact = panda(0, above=0.005)
     hand = replace(contact, friction=0.2, restitution=0.0)
     at = pinimpact.contact_matrices(model, model.createData(), q, hand)
     v = np.linalg.pinv(at.jacobian) @ np.array([0.6, 0.1, -0.3])
     scene = Scene(model, [hand], control=JointPD(600.0, 1.0, q - 0.03), **FREE)
-    run = agrees(scene, q, v, 0.3, 5, ("friction:hand",))
+    run = check_sensitivity(scene, q, v, 0.3, 5, ("friction:hand",))
     directions = [step.directions[0, 0] for step in run._segments if step.directions is not None]
     assert any(a @ b < -0.5 for a, b in itertools.pairwise(directions))
 
 
-def test_a_joint_that_stops_releases_another():
-    # dry friction, whose force at the other joint jumps as the first one stops
+def test_stopping_joint_releases_another():
+    # dry friction: the force at the other joint jumps when the first one stops
     model, q, v, contact = panda(6)
     model.friction = np.random.default_rng(6).uniform(0, 8, 9)
-    agrees(Scene(model, [replace(contact, friction=0.2, restitution=0.0)], **FREE), q, v, 0.15, 6)
+    check_sensitivity(Scene(model, [replace(contact, friction=0.2, restitution=0.0)], **FREE), q, v, 0.15, 6)
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-11])
-def test_changes_of_a_motion_that_stands_still_keep_to_the_tolerance(rtol):
-    # a mass on a spring at rest: the motion needs two steps, its changes swing through several turns
+def test_sensitivities_at_rest_satisfy_tolerance(rtol):
+    # a mass on a spring at rest: the motion takes two steps, its variations oscillate several times
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -1023,10 +1029,10 @@ def test_changes_of_a_motion_that_stands_still_keep_to_the_tolerance(rtol):
     assert np.abs((found - exact) / scale).max() < 30 * rtol  # some thirty intervals
 
 
-def test_two_joints_that_come_to_rest_together_beside_a_sliding_contact():
-    """Dry friction stops a leg that slides along: all three hold it then, and share the impulse of that.
+def test_two_joints_and_sliding_contact_stop_together():
+    """Dry friction stops two joints and a sliding contact at the same time.
 
-    Impulses that may be shared in several ways do not tell the motion, the time at which the leg stops does.
+    The distribution of impulses is not unique, but the time at which the leg stops is.
     """
     model, joint, first, second = pin.Model(), 0, -0.5, 1.3
     for k, kind in enumerate((pin.JointModelPX, pin.JointModelRY, pin.JointModelRY)):
@@ -1045,7 +1051,7 @@ def test_two_joints_that_come_to_rest_together_beside_a_sliding_contact():
 
     def after(speed, **options):
         v0 = np.array([3.0, 0.0, 0.0]) + speed * fold
-        return simulate(scene, q0, v0, 0.0252, **EXACT, **options)  # it has stopped at 0.02515
+        return simulate(scene, q0, v0, 0.0252, **EXACT, **options)  # after the stop at 0.02515 s
 
     run, h = after(0.5, sensitivities="state"), 1e-4
     assert [mode.source for mode in run.modes if mode.mode == "stuck"] == ["j1", "j2"]
@@ -1055,7 +1061,7 @@ def test_two_joints_that_come_to_rest_together_beside_a_sliding_contact():
 
 
 def leg_at_rest(first, second, height):
-    """A slider that carries a leg of two hinges with dry friction, whose foot slides on a plane."""
+    """Return a scene of a slider with a leg of two hinges with dry friction, whose foot slides on a plane."""
     model, joint = pin.Model(), 0
     for k, kind in enumerate((pin.JointModelPX, pin.JointModelRY, pin.JointModelRY)):
         place = pin.SE3(np.eye(3), np.array([1.0 * (k == 2), 0.0, 0.0]))
@@ -1069,8 +1075,8 @@ def leg_at_rest(first, second, height):
     return Scene(model, Contact("foot", Plane(point=(0.0, 0.0, -height)), friction=0.3))
 
 
-def test_how_forces_are_shared_changes_with_the_posture():
-    """Dry friction of two hinges and a foot that slides share a load; what the foot bears brakes."""
+def test_derivative_includes_change_of_force_distribution():
+    """Two dry hinges and a sliding foot share a load; friction depends on the share of the foot."""
     first, second, duration = -0.5, 1.3, 0.2
     height = np.sin(first) + np.sin(first + second)
     scene, v = leg_at_rest(first, second, height), np.array([3.0, 0.0, 0.0])
@@ -1085,7 +1091,9 @@ def test_how_forces_are_shared_changes_with_the_posture():
     h = 1e-4
     ahead, behind = end(h), end(-h)
     expected = np.concatenate([ahead.q[-1] - behind.q[-1], ahead.v[-1] - behind.v[-1]]) / (2.0 * h)
-    slope = -(np.cos(first) + np.cos(first + second)) / np.cos(first + second)
+    difference_quotient = -(np.cos(first) + np.cos(first + second)) / np.cos(first + second)
     found = end(0.0, sensitivities="state").sensitivity(duration)
-    np.testing.assert_allclose(found.state @ [0.0, 1.0, slope, 0.0, 0.0, 0.0], expected, atol=1e-7)
+    np.testing.assert_allclose(
+        found.state @ [0.0, 1.0, difference_quotient, 0.0, 0.0, 0.0], expected, atol=1e-7
+    )
     assert abs(expected[3]) > 1e-3

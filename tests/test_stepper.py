@@ -1,4 +1,4 @@
-"""Motions in steps: exact between changes of the force, nothing lost or doubled where steps meet events."""
+"""`Stepper`: steps under constant forces, events at the ends of steps, copies, accuracy."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FLOOR = Plane()
 
 
 def block(friction=0.5, **options):
-    """A point of 1 kg on three sliding joints, on the floor."""
+    """Return a scene of a point mass of 1 kg on three prismatic joints above the floor."""
     return Scene(slider(), [Contact("point", FLOOR, friction=friction, name="block")], **options)
 
 
@@ -44,7 +44,7 @@ def bouncing_ball(restitution=0.5):
     return Scene(ball(), [Contact("center", FLOOR, radius=0.1, restitution=restitution, name="ball")])
 
 
-def test_a_free_mass_moves_as_the_constant_forces_say():
+def test_free_mass_under_piecewise_constant_forces():
     stepper = Stepper(Scene(slider(mass=2.0), without=["gravity"]), np.zeros(3), np.zeros(3))
     rng = np.random.default_rng(0)
     x, v, t = np.zeros(3), np.zeros(3), 0.0
@@ -58,7 +58,7 @@ def test_a_free_mass_moves_as_the_constant_forces_say():
 
 
 @pytest.mark.parametrize("steps", [1, 3, 5, 8, 50])
-def test_a_bounce_where_a_step_ends_is_neither_lost_nor_doubled(steps):
+def test_impact_at_end_of_step_occurs_once(steps):
     e, t0 = 0.5, 0.25
     stepper = Stepper(bouncing_ball(e), [0, 0, 0.1 + 0.5 * G * t0**2, *UP], np.zeros(6))
     for _ in range(steps):
@@ -67,7 +67,7 @@ def test_a_bounce_where_a_step_ends_is_neither_lost_nor_doubled(steps):
     for _ in range(steps):
         stepper.step(np.zeros(6), 0.5 * t0 / steps)
     impacts = stepper.trajectory.impacts
-    assert first in (0, 1)  # it happens at 0.25 s to rounding
+    assert first in (0, 1)  # it occurs at 0.25 s up to rounding
     assert len(impacts) == 1
     assert impacts[0].time == pytest.approx(t0, rel=1e-12)
     up, t = e * G * t0, 0.5 * t0
@@ -75,7 +75,7 @@ def test_a_bounce_where_a_step_ends_is_neither_lost_nor_doubled(steps):
     assert stepper.v[2] == pytest.approx(up - G * t, abs=1e-9)
 
 
-def test_bounces_within_steps_come_at_their_exact_times():
+def test_impacts_within_steps_have_exact_times():
     e, height = 0.7, 0.3
     stepper = Stepper(bouncing_ball(e), [0, 0, 0.1 + height, *UP], np.zeros(6))
     while stepper.t < 1.0:
@@ -88,7 +88,7 @@ def test_bounces_within_steps_come_at_their_exact_times():
     assert len(stepper.trajectory.impacts) >= 3
 
 
-def test_a_run_in_steps_is_that_of_the_sampled_control():
+def test_steps_agree_with_sampled_control():
     model = pendulum(joint=pin.JointModelRY())
     model.friction = np.array([0.3])
     tip = Contact("tip", Plane(normal=(-1, 0, 0), point=(0.4, 0, 0)), restitution=0.6, name="wall")
@@ -117,7 +117,7 @@ def test_a_run_in_steps_is_that_of_the_sampled_control():
     assert np.abs(found.energy.residual).max() <= 1e-8
 
 
-def test_a_block_sticks_and_slips_as_the_force_of_each_step_says():
+def test_block_sticks_and_slips_under_stepwise_forces():
     mu, dt = 0.5, 0.1
     hold = mu * G
     stepper = Stepper(block(mu), np.zeros(3), np.zeros(3))
@@ -141,7 +141,7 @@ def test_a_block_sticks_and_slips_as_the_force_of_each_step_says():
     assert modes[1][1] == pytest.approx(dt, abs=1e-15)
 
 
-def test_slip_that_has_just_begun_takes_the_direction_of_the_force_that_acts():
+def test_incipient_slip_follows_the_current_force():
     mu, dt = 0.5, 1e-3
     stepper = Stepper(block(mu), np.zeros(3), np.zeros(3))
     stepper.step([0.5, 0, 0], dt)
@@ -152,7 +152,7 @@ def test_slip_that_has_just_begun_takes_the_direction_of_the_force_that_acts():
         assert after[:2] == pytest.approx(expected[:2], abs=1e-9)
 
 
-def test_a_block_lifts_off_and_lands_where_the_force_changes():
+def test_block_lifts_off_at_change_of_force_and_lands():
     stepper = Stepper(block(), np.zeros(3), np.zeros(3))
     stepper.step(np.zeros(3), 0.1)
     stepper.step([0, 0, 2 * G], 0.1)
@@ -163,7 +163,7 @@ def test_a_block_lifts_off_and_lands_where_the_force_changes():
     assert stepper.trajectory.mode_at("block", 0.65) == "stick"
 
 
-def test_weight_that_a_force_just_carries_comes_to_rest_again_when_it_is_let_go():
+def test_balanced_weight_comes_to_rest_when_force_is_removed():
     stepper = Stepper(block(), np.zeros(3), np.zeros(3))
     for lift in (0.5 * G, G, 0.5 * G, 1.0000001 * G, 0.0):
         stepper.step([0, 0, lift], 0.01)
@@ -173,7 +173,7 @@ def test_weight_that_a_force_just_carries_comes_to_rest_again_when_it_is_let_go(
     assert abs(stepper.q[2]) < 1e-9
 
 
-def test_a_joint_with_dry_friction_holds_and_gives_way_at_the_change():
+def test_dry_friction_holds_then_yields_at_change_of_torque():
     model = pendulum()
     model.friction = np.array([2.0])
     stepper = Stepper(Scene(model, without=["gravity"]), [0.0], [0.0])
@@ -194,8 +194,8 @@ COPIES = {
 }
 
 
-def copied_and_both_advanced(one, kind):
-    """Return a copy that moves as the first, for 20 steps more of both."""
+def copy_and_advance_both(one, kind):
+    """Copy a stepper, advance both by 20 steps, check that they are equal, and return the copy."""
     other = COPIES[kind](one)
     for stepper in (one, other):
         for _ in range(20):
@@ -206,7 +206,7 @@ def copied_and_both_advanced(one, kind):
 
 
 @pytest.mark.parametrize("kind", COPIES)
-def test_copies_continue_independently_and_to_the_same_bit(kind):
+def test_copies_are_independent_and_bitwise_equal(kind):
     one = Stepper(bouncing_ball(), [0, 0, 0.3, *UP], [0.2, 0, 0, 1.0, 0, 0])
     for _ in range(30):
         one.step(np.zeros(6), 0.01)
@@ -233,8 +233,8 @@ def below(t, q, v):
     ("steps", "scheme"),
     [(0, "auto"), (12, "auto"), (60, "auto"), (12, "time-stepping"), (60, "time-stepping")],
 )
-def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps, scheme):
-    """A box that tumbles onto a table: before it has begun, in flight, and in contact."""
+def test_copies_include_shape_pairs_events_and_modes(kind, steps, scheme):
+    """A box that tumbles onto a table is copied at the start, in flight, and in contact."""
     model, shapes = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), pin.SE3.Identity())
@@ -249,7 +249,7 @@ def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps, scheme):
     one = Stepper(scene, [0, 0, 0.3, *UP], [0.3, 0, 0, 1.0, 2.0, 0], scheme=scheme)
     for _ in range(steps):
         one.step(np.zeros(6), 0.01)
-    other = copied_and_both_advanced(one, kind)
+    other = copy_and_advance_both(one, kind)
     for record in ("impacts", "events", "modes"):
         assert len(getattr(one.trajectory, record)) == len(getattr(other.trajectory, record))
     assert one.trajectory.modes == other.trajectory.modes
@@ -272,8 +272,8 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("steps", [0, 7, 30, 31])
-def test_the_state_is_one_value_and_nothing_else_tells_how_a_motion_continues(steps):
-    """What libraries share with kernels is not part of it: it is overwritten here."""
+def test_state_object_determines_the_continuation(steps):
+    """Scratch arrays shared with kernels are not part of the state: they are overwritten with NaN here."""
     one = Stepper(block(), [0.0, 0.0, 0.05], [0.3, 0.0, 0.0])
     force = np.array([4.0, 1.0, 0.0])
     for _ in range(steps):
@@ -286,7 +286,7 @@ def test_the_state_is_one_value_and_nothing_else_tells_how_a_motion_continues(st
     for name in ("q", "v", "tau", "acceleration", "minverse"):
         getattr(work, name)[...] = math.nan
     for name in ("placements", "local_velocities", "spatial_velocities", "spatial_accelerations"):
-        getattr(work, name)[1:] = math.nan  # the world stays
+        getattr(work, name)[1:] = math.nan  # index 0, the world, is constant
     assert one.step(force, 0.01)[0].tobytes() == other.step(force, 0.01)[0].tobytes()
     assert same(other._integrator.value(), one._integrator.value())
     assert not same(one._integrator.value(), before)
@@ -294,8 +294,8 @@ def test_the_state_is_one_value_and_nothing_else_tells_how_a_motion_continues(st
 
 @pytest.mark.parametrize("kind", COPIES)
 @pytest.mark.parametrize("steps", [14, 16, 40])
-def test_copies_continue_while_time_steps_cross(kind, steps):
-    """A crate that lands with a corner on a corner, where its normal is not determined."""
+def test_copies_continue_during_time_stepping_intervals(kind, steps):
+    """A crate lands with a corner on a corner, where the normal is undetermined."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
     turned = pin.rpy.rpyToMatrix(math.pi / 4, math.atan(math.sqrt(0.5)), 0.0)
     tip = Box(size=(1.0, 1.0, 1.0), rpy=tuple(pin.rpy.matrixToRpy(turned)), name="tip")
@@ -306,13 +306,13 @@ def test_copies_continue_while_time_steps_cross(kind, steps):
         one = Stepper(scene, q0, np.zeros(6))
         for _ in range(steps):
             one.step(np.zeros(6), 0.01)
-        other = copied_and_both_advanced(one, kind)
+        other = copy_and_advance_both(one, kind)
     assert one.trajectory.stepped
     assert one.trajectory.stepped == other.trajectory.stepped
 
 
-def test_time_steps_of_a_stepper_are_those_of_a_simulation():
-    """A block is pushed beyond its friction and back, by a control sampled at 100 Hz."""
+def test_time_steps_of_stepper_and_simulate_are_equal():
+    """A control sampled at 100 Hz pushes a block beyond its friction limit and back."""
     period, count, mu = 0.01, 60, 0.5
 
     def push(t, q, v):
@@ -331,7 +331,7 @@ def test_time_steps_of_a_stepper_are_those_of_a_simulation():
         Stepper(rigid, np.zeros(3), np.zeros(3), scheme="steps")
 
 
-def test_a_copy_of_a_stopped_stepper_has_stopped():
+def test_copy_of_stopped_stepper_is_stopped():
     stepper = Stepper(bouncing_ball(), [0, 0, 0.3, *UP], np.zeros(6), max_impacts=1)
     with pytest.raises(SimulationError):
         stepper.step(np.zeros(6), 5.0)
@@ -339,7 +339,7 @@ def test_a_copy_of_a_stopped_stepper_has_stopped():
         pickle.loads(pickle.dumps(stepper)).step(np.zeros(6), 0.1)
 
 
-def test_reset_begins_anew_as_a_new_stepper_would():
+def test_reset_stepper_equals_new_stepper():
     scene, start = bouncing_ball(), [0, 0, 0.3, *UP]
     used, new = Stepper(scene, [0, 0, 0.8, *UP], np.ones(6)), Stepper(scene, start, np.zeros(6))
     for _ in range(40):
@@ -354,7 +354,7 @@ def test_reset_begins_anew_as_a_new_stepper_would():
     assert np.array_equal(used.trajectory.t, new.trajectory.t)
 
 
-def test_what_is_returned_is_the_users_own():
+def test_returned_arrays_are_copies():
     stepper = Stepper(block(), np.zeros(3), np.zeros(3))
     q, v = stepper.step([0, 0, 2 * G], 0.1)
     kept = q.copy()
@@ -364,7 +364,7 @@ def test_what_is_returned_is_the_users_own():
     assert stepper.trajectory.q[-1] == pytest.approx(kept)
 
 
-def test_a_terminal_event_ends_the_step_early_and_the_next_goes_on():
+def test_terminal_event_ends_step_and_next_step_continues():
     def half_way(t, q, v):
         return q[2] - 0.5
 
@@ -379,7 +379,7 @@ def test_a_terminal_event_ends_the_step_early_and_the_next_goes_on():
 
 
 @pytest.mark.parametrize("dt", [0.0, -1e-3, np.nan, np.inf, "1", None, 1e-30])
-def test_times_that_cannot_be_stepped_over_are_refused(dt):
+def test_invalid_step_duration_raises(dt):
     stepper = Stepper(block(), np.zeros(3), np.zeros(3))
     stepper.step(np.zeros(3), 1.0)
     with pytest.raises(InputError, match="dt: "):
@@ -388,7 +388,7 @@ def test_times_that_cannot_be_stepped_over_are_refused(dt):
 
 
 @pytest.mark.parametrize("tau", [np.zeros(2), [0, 0, np.nan], [np.inf, 0, 0], "push", None])
-def test_forces_that_are_none_are_refused_and_nothing_moves(tau):
+def test_invalid_forces_raise_and_leave_state_unchanged(tau):
     stepper = Stepper(block(), np.zeros(3), np.zeros(3))
     with pytest.raises(InputError, match="tau: "):
         stepper.step(tau, 0.1)
@@ -396,7 +396,7 @@ def test_forces_that_are_none_are_refused_and_nothing_moves(tau):
     stepper.step(np.zeros(3), 0.1)
 
 
-def test_a_scene_with_a_control_is_refused_and_so_is_a_bad_start():
+def test_scene_with_control_or_invalid_start_raises():
     with pytest.raises(InputError, match="control="):
         Stepper(block(control=lambda t, q, v: 0 * v), np.zeros(3), np.zeros(3))
     with pytest.raises(InputError, match="q0: "):
@@ -405,7 +405,7 @@ def test_a_scene_with_a_control_is_refused_and_so_is_a_bad_start():
         Stepper(block(), np.zeros(3), np.zeros(3), rtol=0.0)
 
 
-def test_a_motion_that_has_stopped_says_so_until_it_is_reset():
+def test_stopped_stepper_raises_until_reset():
     stepper = Stepper(bouncing_ball(0.9), [0, 0, 0.11, *UP], np.zeros(6), max_impacts=3)
     with pytest.raises(SimulationError, match="max_impacts") as caught:
         stepper.step(np.zeros(6), 5.0)
@@ -416,7 +416,7 @@ def test_a_motion_that_has_stopped_says_so_until_it_is_reset():
     stepper.step(np.zeros(6), 1e-3)
 
 
-def test_impacts_are_counted_step_by_step():
+def test_number_of_impacts_per_step():
     stepper = Stepper(bouncing_ball(0.9), [0, 0, 0.11, *UP], np.zeros(6), max_impacts=3)
     for _ in range(60):
         stepper.step(np.zeros(6), 0.01)
@@ -428,12 +428,12 @@ SWING, FAST = np.array([1.0]), np.array([2.0])
 
 @pytest.fixture(scope="module")
 def swing():
-    """A pendulum under gravity, its motion to rounding, and to what accuracy steppers follow it."""
+    """Return a function that measures the errors of steppers on a pendulum against an accurate solution."""
     model = pendulum()
     exact = simulate(Scene(model), SWING, FAST, 2.0, rtol=1e-13, atol=1e-15)
 
     def errors(steps, rtol):
-        """Return the largest errors of q at the ends of steps and within them, and evaluations per step."""
+        """Return the largest errors of q at the ends of steps and within steps, and evaluations per step."""
         stepper = Stepper(Scene(model), SWING, FAST, rtol=rtol, atol=rtol)
         for _ in range(steps):
             stepper.step(np.zeros(1), 2.0 / steps)
@@ -453,7 +453,7 @@ def test_short_steps_are_of_order_three(swing):
 
 
 @pytest.mark.parametrize(("method", "order", "length"), [(0, 8, 0.4), (1, 5, 0.1), (2, 3, 0.05)])
-def test_each_explicit_method_has_its_order(method, order, length):
+def test_order_of_explicit_methods(method, order, length):
     scene, errors = Scene(pendulum()), []
     for h in (length, 0.5 * length):
         integrator = Integrator(scene, SWING, FAST, Options())
@@ -467,6 +467,6 @@ def test_each_explicit_method_has_its_order(method, order, length):
 
 @pytest.mark.parametrize("steps", [8, 200, 1000])
 @pytest.mark.parametrize("rtol", [1e-5, 1e-8, 1e-11])
-def test_steps_of_any_length_keep_to_the_tolerance(swing, steps, rtol):
+def test_steps_of_any_length_satisfy_tolerance(swing, steps, rtol):
     ends, within, _ = swing(steps, rtol)
     assert max(ends, within) < 30.0 * rtol
