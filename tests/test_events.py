@@ -1,4 +1,4 @@
-"""Events of a user's own, against closed forms."""
+"""User events, against closed forms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def height(value):
 
 
 def fall(events, duration=0.4, start=START, v=REST, **options):
-    """A point mass falls freely from 1 m."""
+    """Simulate the free fall of a point mass from 1 m."""
     return run(Scene(slider(), events=events), start, v, duration, **options)
 
 
@@ -33,11 +33,11 @@ def times(trajectory):
     return [record.time for record in trajectory.events]
 
 
-# ---- when
+# ---- times of events
 
 
 @pytest.mark.parametrize("level", [0.999, 0.75, 0.3])
-def test_a_falling_point_crosses_a_height(level):
+def test_falling_point_crosses_height(level):
     trajectory = fall([Event(height(level))])
     (record,) = trajectory.events
     assert record.time == pytest.approx(math.sqrt(2 * (1.0 - level) / G), abs=1e-12)
@@ -47,7 +47,7 @@ def test_a_falling_point_crosses_a_height(level):
     assert np.array_equal(record.v_before, record.v_after)
 
 
-def test_the_guard_has_changed_its_sign_at_the_event_and_not_before():
+def test_guard_changes_sign_exactly_at_the_event():
     guard = height(0.6)
     trajectory = fall([guard])
     (time,) = times(trajectory)
@@ -55,7 +55,7 @@ def test_the_guard_has_changed_its_sign_at_the_event_and_not_before():
     assert guard(time - 1e-15, *trajectory.at(time - 1e-15)) >= -1e-16
 
 
-def test_a_pendulum_passes_zero():
+def test_pendulum_passes_zero():
     """From rest at θ₀ the first passage is K(sin²(θ₀/2))/ω, then every 2K/ω."""
     angle, omega = 2.0, math.sqrt(G)
     quarter = ellipk(math.sin(angle / 2) ** 2) / omega
@@ -67,7 +67,7 @@ def test_a_pendulum_passes_zero():
     assert len(trajectory.events) == math.floor(6.0 / (2 * quarter) + 0.5)
 
 
-def test_a_pendulum_turns():
+def test_pendulum_reverses():
     angle, omega = 1.0, math.sqrt(G)
     m = math.sin(angle / 2) ** 2
     half = 2 * ellipk(m) / omega
@@ -80,12 +80,12 @@ def test_a_pendulum_turns():
     assert trajectory.at(0.5)[0][0] == pytest.approx(2 * math.asin(sine), abs=1e-10)
 
 
-def test_time_is_a_guard_too():
+def test_guard_of_time():
     trajectory = fall([lambda t, q, v: t - 0.125])
     assert times(trajectory) == [0.125]
 
 
-def test_motion_is_the_same_to_the_bit_with_events_that_only_tell():
+def test_events_without_effect_leave_motion_bitwise_equal():
     alone = fall([])
     watched = fall([Event(height(0.9), callback=lambda t, q, v: None), lambda t, q, v: v[2] + 1.0])
     assert len(watched.events) == 2
@@ -95,8 +95,8 @@ def test_motion_is_the_same_to_the_bit_with_events_that_only_tell():
 
 
 @pytest.mark.parametrize(("direction", "expected"), [(0, 2), (1, 1), (-1, 1)])
-def test_the_direction_counts(direction, expected):
-    """Thrown up at 3 m/s it passes 1.2 m upwards, then downwards."""
+def test_direction_selects_crossings(direction, expected):
+    """With an initial velocity of 3 m/s the mass passes 1.2 m upwards, then downwards."""
     trajectory = fall([Event(height(1.2), direction=direction)], 0.6, v=[0, 0, 3.0])
     root = math.sqrt(9.0 - 2 * G * 0.2)
     up, down = (3.0 - root) / G, (3.0 + root) / G
@@ -105,8 +105,8 @@ def test_the_direction_counts(direction, expected):
     assert times(trajectory) == pytest.approx(wanted, abs=1e-12)
 
 
-def test_several_events_come_in_order_of_time():
-    """In one step, given in another order, two of them at one time."""
+def test_several_events_are_in_order_of_time():
+    """Events within one step, declared in another order, two of them at the same time."""
     levels = [0.7, 0.95, 0.4, 0.95]
     events = [Event(height(level), name=f"{k}") for k, level in enumerate(levels)]
     trajectory = fall(events)
@@ -115,8 +115,8 @@ def test_several_events_come_in_order_of_time():
     assert times(trajectory) == pytest.approx(wanted, abs=1e-12)
 
 
-def test_a_wrong_way_before_another_event_does_not_hide_the_right_way_after_it():
-    """sin 40t falls, then an event, then it rises: all within one step."""
+def test_crossing_in_wrong_direction_does_not_hide_later_crossing():
+    """Within one step the guard has a falling zero, then another event occurs, then a rising zero."""
     events = [
         Event(lambda t, q, v: math.sin(40 * t + 2.0), direction=1, name="rises"),
         Event(lambda t, q, v: t - 0.07, name="between"),
@@ -126,8 +126,8 @@ def test_a_wrong_way_before_another_event_does_not_hide_the_right_way_after_it()
     assert times(trajectory) == pytest.approx([0.07, (2 * math.pi - 2.0) / 40], abs=1e-14)
 
 
-def test_a_guard_is_asked_often_while_nothing_moves():
-    """sin ωt over a body at rest, whose steps grow: 0.3 s between its zeros, 0.08 s between the questions."""
+def test_guard_is_sampled_often_although_body_is_at_rest():
+    """The zeros of the guard are 0.3 s apart; steps of the body at rest grow, samples stay 0.08 s apart."""
     scene = Scene(
         slider(), [Contact("point", Plane())], events=lambda t, q, v: math.sin(t / 0.3 * math.pi + 0.1)
     )
@@ -136,14 +136,14 @@ def test_a_guard_is_asked_often_while_nothing_moves():
     assert times(trajectory) == pytest.approx(wanted, abs=1e-13)
 
 
-def test_zero_at_the_start_is_no_event():
+def test_zero_guard_at_start_is_not_an_event():
     assert times(fall([height(1.0), Event(lambda t, q, v: v[2], name="rest")])) == []
 
 
-# ---- what happens
+# ---- effects of events
 
 
-def test_a_terminal_event_ends_the_run():
+def test_terminal_event_ends_run():
     trajectory = fall([Event(height(0.5), terminal=True, name="half way")])
     expected = math.sqrt(1.0 / G)
     assert trajectory.t[-1] == pytest.approx(expected, abs=1e-12)
@@ -153,7 +153,7 @@ def test_a_terminal_event_ends_the_run():
     assert trajectory.at(trajectory.t[-1])[0][2] == trajectory.q[-1, 2]
 
 
-def test_a_terminal_number_is_how_often():
+def test_terminal_number_counts_events():
     scene = Scene(pendulum(), events=[Event(lambda t, q, v: q[0], terminal=3)])
     trajectory = run(scene, [0.5], [0.0], 60.0, rtol=1e-12, atol=1e-13)
     quarter = ellipk(math.sin(0.25) ** 2) / math.sqrt(G)
@@ -161,20 +161,20 @@ def test_a_terminal_number_is_how_often():
     assert trajectory.t[-1] == pytest.approx(5 * quarter, abs=1e-10)
 
 
-def test_plain_functions_carry_the_attributes_of_scipy():
+def test_functions_with_scipy_attributes():
     guard = height(1.2)
     guard.terminal, guard.direction = True, -1
     trajectory = fall([guard], 2.0, v=[0, 0, 3.0])
     assert trajectory.t[-1] == pytest.approx((3.0 + math.sqrt(9.0 - 2 * G * 0.2)) / G, abs=1e-12)
 
 
-def test_a_callback_gives_a_kick():
-    """At half height it is thrown up with 2 m/s and 1 m/s across; its energy stays accounted for."""
+def test_callback_changes_velocity():
+    """At half height the callback sets a velocity of 2 m/s upwards and 1 m/s sideways."""
 
-    def kick(t, q, v):
+    def set_velocity(t, q, v):
         return [1.0, 0.0, 2.0]
 
-    trajectory = fall([Event(height(0.5), kick, direction=-1, name="kick")], 0.6)
+    trajectory = fall([Event(height(0.5), set_velocity, direction=-1, name="set_velocity")], 0.6)
     (record,) = trajectory.events
     hit = math.sqrt(1.0 / G)
     assert record.time == pytest.approx(hit, abs=1e-12)
@@ -187,10 +187,10 @@ def test_a_callback_gives_a_kick():
     assert later == pytest.approx(record.v_after, abs=0)
 
 
-def test_a_callback_is_called_once_with_arrays_of_its_own():
+def test_callback_is_called_once_with_copies():
     seen = []
 
-    def spoil(t, q, v):
+    def overwrite(t, q, v):
         seen.append((t, q.copy(), v.copy()))
         q[:] = v[:] = np.nan
 
@@ -199,15 +199,15 @@ def test_a_callback_is_called_once_with_arrays_of_its_own():
         q[:] = v[:] = np.nan
         return value
 
-    trajectory = fall([Event(guard, spoil)])
+    trajectory = fall([Event(guard, overwrite)])
     assert len(seen) == 1
     assert seen[0][1][2] == pytest.approx(0.5, abs=1e-14)
     assert np.isfinite(trajectory.q).all()
     assert trajectory.q[-1, 2] == pytest.approx(1.0 - 0.5 * G * 0.4**2, abs=1e-10)
 
 
-def test_a_kick_into_a_surface_collides():
-    """A ball that lies on a floor is thrown down: it bounces with e times that."""
+def test_callback_towards_surface_causes_impact():
+    """A resting ball is given a downward velocity, and rebounds with e times its magnitude."""
     scene = Scene(
         ball(),
         [Contact("center", Plane(), radius=0.1, restitution=0.5)],
@@ -221,8 +221,8 @@ def test_a_kick_into_a_surface_collides():
     assert trajectory.q[-1, 2] == pytest.approx(0.1 + 0.1 - 0.5 * G * 0.01, abs=1e-10)
 
 
-def test_an_impact_that_changes_the_sign_is_where_the_event_happens():
-    """v_z of a ball that bounces turns upwards at the impact, downwards at the top."""
+def test_sign_change_by_impact_is_an_event_at_the_impact():
+    """v_z of a bouncing ball becomes positive at the impact and negative at the top."""
     scene = Scene(
         ball(),
         [Contact("center", Plane(), radius=0.1, restitution=0.8)],
@@ -236,22 +236,22 @@ def test_an_impact_that_changes_the_sign_is_where_the_event_happens():
     assert trajectory.events[0].v_before[2] == pytest.approx(0.8 * G * first, abs=1e-9)
 
 
-def test_an_event_at_the_instant_of_an_impact_comes_with_it():
-    """The gap itself as a guard: its event is at the impact if anywhere, and the impact is resolved."""
+def test_event_at_the_time_of_an_impact():
+    """With the gap as guard, an event may occur only at the impact, which is resolved."""
     first = math.sqrt(2.0 / G)
     events = [Event(lambda t, q, v: q[2] - 0.1, lambda t, q, v: [1.0, 0, v[2], 0, 0, 0], direction=-1)]
     contact = Contact("center", Plane(), radius=0.1, restitution=0.5)
     trajectory = run(Scene(ball(), [contact], events=events), [0, 0, 1.1, *UP], np.zeros(6), 0.6)
     assert [impact.time for impact in trajectory.impacts] == pytest.approx([first], abs=1e-9)
     assert trajectory.q[-1, 2] > 0.1
-    kicks = len(trajectory.events)
-    assert kicks <= 1
-    assert times(trajectory) == pytest.approx([first] * kicks, abs=1e-9)
-    assert trajectory.v[-1, 0] == pytest.approx(1.0 * kicks, abs=1e-12)
+    count = len(trajectory.events)
+    assert count <= 1
+    assert times(trajectory) == pytest.approx([first] * count, abs=1e-9)
+    assert trajectory.v[-1, 0] == pytest.approx(1.0 * count, abs=1e-12)
 
 
-def test_a_callback_that_turns_its_own_guard_happens_once_at_an_instant():
-    """A floor of one's own: the velocity is reversed where it falls through 0.5 m."""
+def test_callback_that_reverses_its_guard_is_called_once():
+    """The callback acts as a floor: it reverses the velocity at a height of 0.5 m."""
     event = Event(lambda t, q, v: q[2] - 0.5, lambda t, q, v: -v, direction=-1, name="floor")
     turns = Event(lambda t, q, v: v[2], name="turns")
     trajectory = fall([event, turns], 1.5)
@@ -262,8 +262,8 @@ def test_a_callback_that_turns_its_own_guard_happens_once_at_an_instant():
     assert turned == pytest.approx([hit, 2 * hit, 3 * hit, 4 * hit], abs=1e-9)
 
 
-def test_a_slip_that_ends_is_left_to_the_scene_and_told_by_the_event():
-    """A block slides to rest at v₀/(μ g); the guard sees its speed sink below a tenth before."""
+def test_event_before_end_of_slip():
+    """A block slides to rest at v₀/(μ g); before, its speed decreases to 0.1 m/s."""
     scene = Scene(
         slider(),
         [Contact("point", Plane(), friction=0.5)],
@@ -278,7 +278,7 @@ def test_a_slip_that_ends_is_left_to_the_scene_and_told_by_the_event():
 
 
 def test_events_are_saved_and_pickled(tmp_path):
-    trajectory = fall([Event(height(0.5), lambda t, q, v: v + 1.0, name="kick"), height(0.8)])
+    trajectory = fall([Event(height(0.5), lambda t, q, v: v + 1.0, name="set_velocity"), height(0.8)])
     trajectory.save(tmp_path / "run.npz")
     for other in (Trajectory.load(tmp_path / "run.npz"), pickle.loads(pickle.dumps(trajectory))):
         assert [(one.time, one.name) for one in other.events] == [
@@ -289,7 +289,7 @@ def test_events_are_saved_and_pickled(tmp_path):
                 assert np.array_equal(getattr(one, field), getattr(same, field))
 
 
-def test_the_plan_has_a_line_for_them_and_they_can_be_left_out():
+def test_plan_lists_events_and_without_omits_them():
     scene = Scene(slider(), events=[Event(height(0.5), name="half"), height(0.2)])
     assert scene.plan()["user events"].reason == "located: half, guard"
     assert not Scene(slider()).plan()["user events"].on
@@ -306,7 +306,7 @@ def test_the_plan_has_a_line_for_them_and_they_can_be_left_out():
         ([height(0.1), height(0.2)], "events: 2 events are called 'guard'; give each its own name="),
     ],
 )
-def test_what_is_no_event_is_refused(events, message):
+def test_invalid_events_raise(events, message):
     with pytest.raises(InputError, match=message):
         Scene(slider(), events=events)
 
@@ -322,7 +322,7 @@ def test_what_is_no_event_is_refused(events, message):
         ({"direction": math.nan}, "direction=nan given"),
     ],
 )
-def test_an_event_of_nonsense_is_refused(fields, message):
+def test_invalid_event_fields_raise(fields, message):
     with pytest.raises(InputError, match=f"events: {message}"):
         Event(**{"guard": height(0.5), **fields})
 
@@ -345,14 +345,14 @@ def zero_division(t, q, v):
         (Event(height(0.9), lambda t, q, v: [1.0, 2.0, math.inf]), "InputError in the callback of 'guard'"),
     ],
 )
-def test_an_error_in_a_guard_or_callback_is_what_the_user_sees(event, message):
+def test_errors_in_guard_or_callback_are_reported(event, message):
     with pytest.raises(SimulationError, match=f"^events: {message}") as caught:
         simulate(Scene(slider(), events=[event]), START, REST, 0.4)
     assert caught.value.field == "events"
     assert caught.value.partial.t[-1] <= 0.4
 
 
-def test_an_interrupt_in_a_guard_ends_the_run_as_from_the_keyboard():
+def test_interrupt_in_guard_ends_run():
     def guard(t, q, v):
         if t > 0.1:
             raise KeyboardInterrupt
@@ -364,8 +364,8 @@ def test_an_interrupt_in_a_guard_ends_the_run_as_from_the_keyboard():
     assert trajectory.at(trajectory.t[-1])[0][2] == trajectory.q[-1, 2]
 
 
-def test_events_on_a_robot_that_turns_in_space():
-    """A body that spins about z: its x axis passes the plane y = 0 each half turn."""
+def test_events_of_rotating_body():
+    """The x axis of a body that spins about z crosses the plane y = 0 every half turn."""
     scene = Scene(
         ball(), events=[lambda t, q, v: pin.SE3(pin.XYZQUATToSE3(q)).rotation[1, 0]], without=["gravity"]
     )

@@ -1,6 +1,6 @@
-"""Scenes that people try first: stairs, a table's edge, a peg in a hole, a gap between walls, a handover.
+"""Common scenes: stairs, the edge of a table, a peg in a hole, a gap between walls, a handover.
 
-Each has to end where it can, with its energy accounted for.
+Each must reach a possible final state and satisfy the energy balance.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def body(name, size, mass):
 
 
 def among(size, mass, solids, friction, restitution=0.0):
-    """Return a scene of a free box among solids that stand still, and a floor."""
+    """Return a scene of a free box with fixed solids and a floor."""
     model, shapes = body("box", size, mass)
     every = {"floor": Plane(), **solids}
     contacts = [
@@ -64,7 +64,7 @@ def edge(rng):
 
 
 def peg(rng):
-    """A peg with 1 mm of play falls into a hole, or stays on its rim."""
+    """A peg with 1 mm of clearance falls into a hole, or stays on its rim."""
     w = 0.021
     sides = [((0.1, 0.3, 0.1), (w + 0.05, 0)), ((2 * w, 0.1, 0.1), (0, w + 0.05))]
     walls = {
@@ -76,7 +76,7 @@ def peg(rng):
 
 
 def walls(rng):
-    """A cube falls between two walls, with 1 mm of play on each side."""
+    """A cube falls between two walls, with a clearance of 1 mm on each side."""
     sides = {f"wall {s}": Box((0.1, 1.0, 1.0), center=(s * 0.101, 0, 0.5)) for s in (-1, 1)}
     q0 = pin.SE3ToXYZQUAT(pin.SE3(turned(rng, 0.002), np.array([0, 0, 0.3])))
     return among((0.1, 0.1, 0.1), 1.0, sides, 0.4), q0, np.array([0.3, 0, 0, 0, 1.0, 0]), 0.6
@@ -94,7 +94,7 @@ def lowest(q, size):
 
 @pytest.mark.parametrize("scene", [stairs, edge, peg, walls])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_what_falls_among_solids_ends_with_its_energy_accounted_for(scene, seed):
+def test_box_among_solids_satisfies_energy_balance(scene, seed):
     built, q0, v0, duration = scene(np.random.default_rng(seed))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SteppedWarning)
@@ -103,31 +103,31 @@ def test_what_falls_among_solids_ends_with_its_energy_accounted_for(scene, seed)
     mass = pin.computeTotalMass(built.model)
     lost = mass * G * (q0[2] - run.q[-1, 2])
     assert lost > 0.0
-    # time steps across what cannot be located turn with the velocity that they predict: of first order
+    # intervals of time steps are of first order in rotations
     assert np.abs(run.energy.residual).max() < (1e-5 if run.stepped else 1e-6) * lost
     size = (0.04, 0.04, 0.1) if scene is peg else (0.1, 0.1, 0.1)
     assert min(lowest(q, size) for q in run.q) > -1e-6
     steps = simulate(built, q0, v0, duration, scheme="time-stepping", dt=1e-3)
     assert steps.complete
     assert lowest(steps.q[-1], size) > -1e-6
-    # what such steps miss of the energy, of first order
+    # first-order energy error of these steps
     assert np.abs(steps.energy.residual).max() < 1e-2 * lost
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-def test_a_plank_that_falls_flat_onto_two_blocks_rises_without_turning(restitution):
-    """It meets both at one instant, to rounding, so that both take part in one impact."""
+def test_plank_falling_flat_onto_two_blocks_rebounds_without_rotation(restitution):
+    """It hits both at the same time up to rounding, so both contacts belong to one impact."""
     blocks = {side: Box((0.1, 0.2, 0.1), center=(x, 0, 0.05)) for side, x in (("left", -0.4), ("right", 0.4))}
     scene, t = among((1.0, 0.2, 0.05), 2.0, blocks, 0.5, restitution), np.sqrt(2.0 * 0.2 / G)
     run = simulate(scene, [0, 0, 0.325, *UP], np.zeros(6), t + 0.05)
     rise = restitution * G * t - 0.05 * G if restitution > 0.0 else 0.0
     np.testing.assert_allclose(run.v[-1], [0, 0, rise, 0, 0, 0], atol=1e-9)
     assert len({impact.time for impact in run.impacts}) == 1
-    assert len(run.impacts) == 8  # one for each corner of a touch
+    assert len(run.impacts) == 8  # one per corner of each contact face
 
 
 def grippers(squeeze):
-    """Two pairs of fingers about a cube: the second closes at 0.15 s, the first opens at 0.3 s."""
+    """Return a scene of two grippers at a cube: the second closes at 0.15 s, the first opens at 0.3 s."""
     model, shapes = body("cube", (0.05, 0.05, 0.05), 0.1)
     fingers = [(axis, side) for axis in "xy" for side in (-1, 1)]
     for axis, side in fingers:
@@ -159,8 +159,8 @@ def grippers(squeeze):
 
 
 @pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
-def test_a_cube_is_handed_over(scheme):
-    """3 N on each side hold 0.1 kg at μ = 0.6; the cube stays where it is."""
+def test_cube_is_handed_over(scheme):
+    """Forces of 3 N on each side hold 0.1 kg with μ = 0.6, so the cube does not move."""
     scene, q0 = grippers(3.0)
     run = simulate(scene, q0, np.zeros(10), 0.6, scheme=scheme)
     assert np.abs(run.q[-1, :7] - q0[:7]).max() < 1e-6
@@ -175,8 +175,8 @@ def test_a_cube_is_handed_over(scheme):
 @pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
 @pytest.mark.parametrize("numbering", [1, -1])
 @pytest.mark.parametrize("part", [0.4, 0.6, 0.8, 1.0, 1.2])
-def test_a_squeezed_cube_falls_as_newton_says_and_does_not_turn(part, numbering, scheme):
-    """Eight corners share the squeeze, and the mirror symmetry of the scene says how."""
+def test_squeezed_cube_falls_without_rotation(part, numbering, scheme):
+    """The squeezing force at eight corners is not unique, but must be mirror symmetric like the scene."""
     squeeze, t = part * 0.1 * G / (2.0 * 0.6), 0.1
     scene, q0 = grippers(squeeze)
     scene = dataclasses.replace(scene, contacts=scene.contacts[::numbering])
@@ -188,7 +188,7 @@ def test_a_squeezed_cube_falls_as_newton_says_and_does_not_turn(part, numbering,
 
 
 def rack(turn, numbering, restitution):
-    """A ball of 1 m/s towards six that touch each other, seen from above; its velocities and the mirror."""
+    """Return a scene of a ball moving towards six touching balls, q, v, and the function `seen`."""
     radius, model, shapes = 0.03, pin.Model(), pin.GeometryModel()
     places = [
         (-0.1, 0.0),
@@ -222,8 +222,8 @@ def rack(turn, numbering, restitution):
 @pytest.mark.parametrize("turn", [0.0, 1.6, 3.8, 5.1])
 @pytest.mark.parametrize("numbering", [1, -1])
 @pytest.mark.parametrize("restitution", [0.9, 1.0])
-def test_a_rack_of_balls_breaks_as_its_mirror_image_in_both_schemes(turn, numbering, restitution):
-    """Balls at rest on which others strike feel each other in the impact, too."""
+def test_rack_of_balls_breaks_symmetrically_in_both_schemes(turn, numbering, restitution):
+    """Contacts between balls at rest also belong to the impact of balls that strike them."""
     scene, q0, v0, seen = rack(turn, numbering, restitution)
     breaks = []
     for scheme in ("event-driven", "time-stepping"):
@@ -236,8 +236,8 @@ def test_a_rack_of_balls_breaks_as_its_mirror_image_in_both_schemes(turn, number
     np.testing.assert_allclose(*breaks, atol=1e-9)
 
 
-def test_a_pile_ends_at_rest_and_nothing_overlaps_on_the_way():
-    # boxes that rock and turn fast: impulses at one corner drive others in
+def test_pile_comes_to_rest_without_penetration():
+    # boxes rock and rotate fast: impulses at one corner accelerate others into the surface
     count, size = 8, (0.2, 0.2, 0.1)
     scene = boxes(count, size, 1.0)
     q0, rng = np.tile([0, 0, 0, *UP], count), np.random.default_rng(0)
@@ -257,8 +257,8 @@ def test_a_pile_ends_at_rest_and_nothing_overlaps_on_the_way():
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 @pytest.mark.parametrize("press", [1.0, 1e3])
-def test_a_box_that_is_pressed_by_far_more_than_its_weight_stays(press, weight):
-    """Its friction over the error of velocities is no gain of energy, without gravity either."""
+def test_box_pressed_by_far_more_than_its_weight_stays(press, weight):
+    """Friction times velocity errors must not increase the energy, with and without gravity."""
     size, mass = (0.1, 0.1, 0.2), 0.1
     model, shapes = body("box", size, mass)
     model.gravity.linear = np.array([0.0, 0.0, -weight * G])

@@ -1,4 +1,4 @@
-"""Time steps of shapes that move on each other: of second order, whichever of them has the face."""
+"""Time stepping of shapes that slide on each other: second order, in either order of the shapes."""
 
 import coal
 import numpy as np
@@ -18,14 +18,14 @@ SHAPES = {
     "edge on ball": (coal.Box(1.0, 0.05, 0.05), TURNED, coal.Sphere(0.05), 0.0),
     "capsule on edge": (coal.Capsule(0.02, 1.0), TURNED, coal.Box(0.1, 0.1, 0.1), TURNED),
 }
-"""Shape of the bar and its turn about its length; shape of the cart and its turn about the hinge."""
+"""Shape of the bar and its rotation about its length; shape of the cart and its rotation about the hinge."""
 
 KNOWN = [(what, swapped) for what in SHAPES for swapped in (False, True) if what != "edge on ball" or swapped]
-"""An edge of the first shape keeps its point on a ball of the second."""
+"""An edge of the first shape against a ball of the second: the contact point is fixed to the edge."""
 
 
 def bar_on_cart(what, swapped, at=0.4):
-    """Return a scene of a hinged bar that lies on a cart, with a start at which the cart moves away."""
+    """Return a scene of a hinged bar that lies on a cart, and a state in which the cart moves away."""
     bar, roll, cart, turn = SHAPES[what]
     model, shapes = pin.Model(), pin.GeometryModel()
     joints = (
@@ -66,8 +66,8 @@ def end_of(trajectory):
 
 
 @pytest.mark.parametrize(("what", "swapped"), KNOWN)
-def test_a_shape_that_slides_on_another_moves_as_in_the_other_scheme(what, swapped):
-    """To second order: what the contact point and the normal move with is part of how rows change."""
+def test_sliding_shapes_agree_with_event_driven_scheme(what, swapped):
+    """Second order requires the motion of contact point and normal in the rates of the rows."""
     scene, q, v = bar_on_cart(what, swapped)
     reference = end_of(simulate(scene, q, v, 0.1, scheme="event-driven", rtol=1e-11, atol=1e-12))
     errors = [
@@ -79,7 +79,7 @@ def test_a_shape_that_slides_on_another_moves_as_in_the_other_scheme(what, swapp
 
 
 @pytest.mark.parametrize("what", [what for what, swapped in KNOWN if not swapped])
-def test_it_does_not_matter_which_shape_is_named_first(what):
+def test_order_of_shapes_does_not_matter(what):
     ends = [
         end_of(simulate(*bar_on_cart(what, swapped), 0.1, scheme="time-stepping", dt=1e-3))
         for swapped in (False, True)
@@ -88,8 +88,8 @@ def test_it_does_not_matter_which_shape_is_named_first(what):
 
 
 @pytest.mark.parametrize(("what", "swapped"), KNOWN)
-def test_derivatives_are_those_of_the_steps(what, swapped):
-    """Along starts at which the shapes touch and stay closed."""
+def test_derivatives_agree_with_differences_of_steps(what, swapped):
+    """The initial states are varied so that the shapes stay in contact."""
     e, options = 1e-4, {"scheme": "time-stepping", "dt": 2e-3}
     runs = [bar_on_cart(what, swapped, 0.4 + e * k) for k in (-2, -1, 0, 1, 2)]
     scene, q, v = runs[2]
@@ -101,8 +101,8 @@ def test_derivatives_are_those_of_the_steps(what, swapped):
 
 
 @pytest.mark.parametrize("ball_first", [True, False])
-def test_a_ball_on_an_edge_is_differentiated_or_refused(ball_first):
-    """How an edge of the first shape moves over a ball of the second is not known."""
+def test_ball_on_edge_has_derivative_in_one_order_only(ball_first):
+    """The motion of an edge of the first shape over a ball of the second is not supported."""
     scene, q, v = bar_on_cart("edge on ball", ball_first)
     if not ball_first:
         with pytest.raises(InputError, match="over an edge"):

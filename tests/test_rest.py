@@ -1,4 +1,4 @@
-"""What rests in time steps takes no part in them: it stays, bears its load, and wakes when it has to."""
+"""Bodies at rest in time stepping: they are skipped, transmit their loads, and are woken when needed."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def step(scene, q0, v0, duration, **options):
 
 
 def never_resting(scene):
-    """Return the same scene with a control that does nothing but may do something at any time."""
+    """Return the same scene with a zero control, which prevents bodies from being skipped as at rest."""
     nv = scene.model.nv
     return Scene(scene.model, scene.contacts, geometry=scene.geometry, control=lambda t, q, v: np.zeros(nv))
 
 
-def test_a_stack_at_rest_for_a_minute_stands_and_bears_its_load():
+def test_resting_stack_stands_and_transmits_its_load():
     count = 10
     scene = boxes(count, (0.2, 0.2, 0.1), 1.0)
     q0 = np.array([[0, 0, 0.05 + 0.1 * k, *UP] for k in range(count)])
@@ -41,8 +41,8 @@ def test_a_stack_at_rest_for_a_minute_stands_and_bears_its_load():
 
 
 @pytest.mark.parametrize("masses", [(1.0, 1e3), (1e3, 1.0), (1.0, 1e3, 1.0)])
-def test_what_is_far_heavier_than_what_it_stands_on_rests(masses):
-    """It crept sideways for ever while the contact problem of both was left at 10⁻⁵ of its velocities."""
+def test_heavy_box_on_light_box_rests(masses):
+    """With contact problems solved only to a residual of 10⁻⁵, the boxes would creep sideways for ever."""
     scene = boxes(len(masses), (0.2, 0.2, 0.1), 1.0)
     for k, mass in enumerate(masses):
         scene.model.inertias[k + 1] = pin.Inertia.FromBox(mass, 0.2, 0.2, 0.1)
@@ -58,10 +58,10 @@ def test_what_is_far_heavier_than_what_it_stands_on_rests(masses):
 
 
 @pytest.mark.parametrize(("height", "part"), [(0.05, 1.0), (0.08, 1e-3), (0.12, 1e-3), (0.15, 1e-4)])
-def test_what_is_hit_wakes_with_what_rests_on_it(height, part):
-    """A box slides into a stack of three at rest: as in steps in which nothing rests.
+def test_struck_stack_is_woken(height, part):
+    """A box hits a resting stack of three; compare with steps in which no body is skipped.
 
-    At 0.05 m it slides on the floor, and some of the contact problems are solved to 1e-5 only.
+    At a height of 0.05 m the box slides on the floor, and some contact problems are solved to 1e-5 only.
     """
     scene = boxes(3, (0.2, 0.2, 0.1), 1.0)
     model = scene.model
@@ -90,13 +90,13 @@ def test_what_is_hit_wakes_with_what_rests_on_it(height, part):
     v0 = [*np.zeros(18), 3.0, 0, 0.5, 0, 0, 0]
     one, other = (step(scene, q0, v0, 0.4) for scene in (hit, never_resting(hit)))
     short = simulate(hit, q0, v0, 0.4, scheme="time-stepping", dt=0.5 * DT)
-    by_length = np.abs(one.q[-1] - short.q[-1]).max()  # what such steps miss anyway
+    by_length = np.abs(one.q[-1] - short.q[-1]).max()  # discretization error of these steps
     assert np.abs(one.q[-1][:21] - np.array(q0[:21])).max() > 1e-2
     assert np.abs(one.q[-1] - other.q[-1]).max() < part * by_length
 
 
-def test_a_force_that_changes_wakes():
-    """Pushed from t = 0.5 s on, a box slides by (F/m − μ g) t²/2."""
+def test_changing_force_wakes_box():
+    """A box that is pushed from t = 0.5 s on slides by (F/m − μ g) t²/2."""
     model, contacts = box_on(4, mu=0.3)
 
     def control(t, q, v):
@@ -109,14 +109,14 @@ def test_a_force_that_changes_wakes():
     assert run.q[-1, 0] == pytest.approx(0.5 * rate * 0.5**2, abs=2.0 * rate * 0.5 * DT)
 
 
-def test_an_event_that_gives_a_velocity_wakes():
+def test_event_callback_wakes_box():
     model, contacts = box_on(4, mu=0.3)
     kick = Event(lambda t, q, v: t - 0.5, lambda t, q, v: np.array([1.0, 0, 0, 0, 0, 0]))
     run = step(Scene(model, contacts, events=[kick]), [0, 0, 0.1, *UP], np.zeros(6), 1.5)
     assert run.q[-1, 0] == pytest.approx(0.5 / (0.3 * G), abs=2.0 * DT)
 
 
-def test_a_belt_that_slips_under_a_box_that_stands_goes_on_working():
+def test_work_of_belt_slipping_under_resting_box():
     model, _ = box_on(4, turn=0.25 * np.pi)
     belt = Plane(velocity=(1.0, 0.0, 0.0))
     contacts = [Contact(f"tip{k}", belt, friction=0.3) for k in range(4)]
@@ -132,7 +132,7 @@ def test_a_belt_that_slips_under_a_box_that_stands_goes_on_working():
     assert power == pytest.approx(0.0, abs=1e-6)
 
 
-def test_copies_at_rest_go_on_as_the_original():
+def test_copies_of_resting_stepper_continue_equally():
     model, contacts = box_on(4, mu=0.3)
     stepper = Stepper(Scene(model, contacts), [0, 0, 0.1, *UP], np.zeros(6), scheme="time-stepping", dt=DT)
     still, push = np.zeros(6), np.array([5.0, 0, 0, 0, 0, 0])
@@ -146,8 +146,8 @@ def test_copies_at_rest_go_on_as_the_original():
 
 
 @pytest.mark.parametrize("tilt", [1e-3, 7e-3, 0.02])
-def test_a_box_that_stands_on_another_stops_to_rock(tilt):
-    """Both fall alike without contact forces: an edge that closes a little has not been apart therefore."""
+def test_rocking_box_on_box_comes_to_rest(tilt):
+    """Without contact forces both boxes fall alike, so a small decrease of a gap is no sign of separation."""
     scene, turn = boxes(2, (0.2, 0.2, 0.1), 1.0), pin.utils.rotate("y", 0.5 * np.pi + tilt)
     height = 0.1 + 0.05 * np.sin(tilt) + 0.1 * np.cos(tilt)
     q0 = np.r_[0, 0, 0.05, UP, 0, 0, height, pin.Quaternion(turn).coeffs()]

@@ -1,4 +1,4 @@
-"""States of a motion are starts of others: what time steps leave of overlap is removed, and no error."""
+"""States of a motion as initial states: the penetration that time steps leave is accepted and corrected."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ def _stepped_without_a_word():
 
 
 def landing():
-    """Return two boxes that fall onto the floor and onto each other, and their motion in time steps."""
+    """Return a scene of two boxes that fall onto the floor and onto each other, and its motion."""
     scene = boxes(2, SIZE, 1.0)
     q0 = [0, 0, 0.06, *UP, 0.02, 0.01, 0.175, *UP]
     return scene, simulate(scene, q0, np.zeros(12), 0.3, scheme="time-stepping")
 
 
 def lowest(scene, trajectory, t):
-    """Return the least height of the boxes over what they land on [m]."""
+    """Return the smallest gap between the boxes and the surfaces below them [m]."""
     z = trajectory.at(t)[0][2::7]
     return min(z[0] - 0.05, z[1] - z[0] - 0.1)
 
 
 @pytest.mark.parametrize("scheme", CONTINUING)
-def test_what_overlaps_within_a_step_comes_to_rest_where_the_motion_does(scheme):
+def test_run_started_with_penetration_reaches_the_same_rest(scheme):
     scene, whole = landing()
     times = np.linspace(0.0, 0.2, 400)
     depths = -np.array([lowest(scene, whole, t) for t in times])
     deepest = times[[np.argmax(depths), *np.flatnonzero(depths > 1e-7)[::4]]]
-    assert depths.max() > 1e-5  # else there is nothing to test
+    assert depths.max() > 1e-5  # otherwise the test is void
     for t in deepest:
         again = simulate(scene, *whole.at(t), 0.3, scheme=scheme)
         assert again.complete
-        # located, the upper box hits the lower one beside its middle and makes it rock and slip a little
+        # with located events the upper box hits the lower one off centre, which then rocks and slips a little
         np.testing.assert_allclose(again.q[-1], whole.q[-1], atol=2e-5 if scheme == "time-stepping" else 2e-4)
         assert lowest(scene, again, 0.3) > -1e-8
         assert np.abs(again.v[-1]).max() < 1e-7
         assert np.abs(again.energy.residual).max() < 1e-9 * again.energy.total[0]
 
 
-def test_what_is_lifted_out_of_overlap_gains_its_weight_times_the_height():
+def test_energy_of_penetration_correction_is_weight_times_height():
     scene = Scene(ball(), [Contact("center", Plane(), radius=0.1)])
     depth = 3e-5
     for scheme in CONTINUING:
@@ -65,7 +65,7 @@ def test_what_is_lifted_out_of_overlap_gains_its_weight_times_the_height():
         assert np.abs(energy.residual).max() < 1e-6 * energy.impacts[-1]
 
 
-def test_a_joint_beyond_its_limit_by_what_a_step_leaves_starts():
+def test_start_slightly_beyond_joint_limit_is_accepted():
     model = pendulum()
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -0.5, 0.5
     scene = Scene(model)
@@ -77,8 +77,8 @@ def test_a_joint_beyond_its_limit_by_what_a_step_leaves_starts():
 
 
 @pytest.mark.parametrize("dt", [1e-3, 1e-4])
-def test_how_deep_a_start_may_be_is_what_a_step_may_leave(dt):
-    """It is the approach over dt, and 4 dt² g."""
+def test_accepted_initial_penetration(dt):
+    """The limit is the approach velocity times dt, plus 4 g dt²."""
     scene = Scene(ball(), [Contact("center", Plane(), radius=0.1)])
     for speed in (0.0, 1.0):
         left = 1e-8 * 0.1 + dt * (speed + 4.0 * dt * 9.80665)
@@ -89,7 +89,7 @@ def test_how_deep_a_start_may_be_is_what_a_step_may_leave(dt):
                 simulate(scene, [0, 0, 0.1 - 1.1 * left, *UP], v0, 2 * dt, scheme=scheme, dt=dt)
 
 
-def test_a_stepper_is_reset_to_a_state_within_a_step():
+def test_stepper_resets_to_state_within_a_step():
     scene, whole = landing()
     times = np.linspace(0.0, 0.2, 400)
     state = whole.at(times[np.argmin([lowest(scene, whole, t) for t in times])])
@@ -103,7 +103,7 @@ def test_a_stepper_is_reset_to_a_state_within_a_step():
         np.testing.assert_array_equal(one.q, after)
 
 
-def test_the_event_driven_scheme_names_the_one_that_starts_there():
+def test_event_driven_scheme_refers_to_time_stepping():
     scene = boxes(2, SIZE, 1.0)
     for shift in ([0, 0], [0, -1e-5], [-1e-5, -1e-5]):
         q0 = np.array([0, 0, 0.05, *UP, 0.02, 0.01, 0.15, *UP])
@@ -117,7 +117,7 @@ def test_the_event_driven_scheme_names_the_one_that_starts_there():
             Stepper(scene, q0, np.zeros(12), scheme="event-driven")
 
 
-def test_a_copy_before_the_first_step_knows_what_overlaps():
+def test_copy_before_first_step_includes_penetration():
     scene = boxes(1, SIZE, 1.0)
     stepper = Stepper(scene, [0, 0, 0.05 - 1e-5, *UP], np.zeros(6))
     twin = stepper.copy()
@@ -127,8 +127,8 @@ def test_a_copy_before_the_first_step_knows_what_overlaps():
         assert one.q[2] == pytest.approx(0.05, abs=1e-9)
 
 
-def test_small_robots_start_where_rounding_leaves_them():
-    """A gap is closed to 1e-12 m, which is more than 4e-12 of a small robot's size."""
+def test_small_robots_start_with_rounding_errors_of_gaps():
+    """Gaps have errors of 1e-12 m, more than 4e-12 of the size of a small robot."""
     scene = boxes(3, (8e-4, 2.4e-3, 4.8e-3), 1e-5)
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -137,8 +137,8 @@ def test_small_robots_start_where_rounding_leaves_them():
         assert simulate(scene, q0, np.zeros(18), 1e-3, scheme="event-driven").complete
 
 
-def test_what_touches_at_the_start_of_time_steps_touches_nowhere_else():
-    """A box is thrown off another one, on which it starts, and bounces beside it."""
+def test_contact_at_start_does_not_persist_elsewhere():
+    """A box starts on another one, flies off, and bounces beside it."""
     scene = boxes(2, SIZE, 1.0, restitution=0.5, between=0.0)
     q0, v0 = np.array([0, 0, 0.05, *UP, 0, 0, 0.15, *UP]), np.zeros(12)
     v0[6:9] = 2.0, 0.0, 1.0

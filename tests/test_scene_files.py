@@ -1,4 +1,4 @@
-"""Scene files: what they say is what is built, and what is wrong with them is said by key."""
+"""Scene files: the scenes they describe, and error messages that name the key."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def scene_of(tmp_path: Path, text: str):
     return load_scene(path)
 
 
-def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
+def test_scene_has_values_of_file(tmp_path: Path) -> None:
     loaded = scene_of(tmp_path, BALL)
     np.testing.assert_allclose(loaded.q, [0, 0, 0.25, 0, 0, 0, 1])
     (contact,) = loaded.scene.contacts
@@ -38,7 +38,7 @@ def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
     assert loaded.file.duration == 1.5
 
 
-def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
+def test_sphere_has_values_of_file(tmp_path: Path) -> None:
     ball = '[sphere.post]\ncenter = [0, 0, "-10 cm"]\nradius = "10 cm"\nangular_velocity = [0, "60 rpm", 0]'
     text = BALL.replace('plane = "belt"', 'plane = "post"').replace("[[contact]]", f"{ball}\n\n[[contact]]")
     (contact,) = scene_of(tmp_path, text).scene.contacts
@@ -48,7 +48,7 @@ def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
         scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
 
 
-def test_boxes_and_shapes_are_what_the_file_says(tmp_path: Path) -> None:
+def test_boxes_and_shapes_have_values_of_file(tmp_path: Path) -> None:
     text = (SCENES / "falling_arm.toml").read_text(encoding="utf-8")
     text += """
 [box.block]
@@ -70,7 +70,7 @@ plane = "base"
     assert surfaces == {block, pinimpact.Shape("panda_link0_0", name="base")}
 
 
-def test_an_arm_falls_by_its_shapes_alone() -> None:
+def test_arm_falls_with_contacts_of_shapes_only() -> None:
     loaded = load_scene(SCENES / "falling_arm.toml")
     shapes = {contact.shape for contact in loaded.scene.contacts}
     assert shapes == {s.name for s in loaded.robot.collision_model.geometryObjects} - {"panda_link0_0"}
@@ -85,7 +85,7 @@ def link(name: str, shape: str) -> str:
     return f'<link name="{name}">{inertial}<collision><geometry>{shape}</geometry></collision></link>'
 
 
-def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
+def test_shapes_and_links_have_values_of_file(tmp_path: Path) -> None:
     hinge = '<joint name="hinge" type="continuous"><parent link="box"/><child link="can"/></joint>'
     shapes = link("box", '<box size="1 1 1"/>'), link("can", '<cylinder radius="1" length="1"/>')
     (tmp_path / "chest.urdf").write_text(f'<robot name="chest">{"".join(shapes)}{hinge}</robot>', "utf-8")
@@ -130,27 +130,27 @@ def test_joints_by_name_and_unit() -> None:
     np.testing.assert_allclose(loaded.scene.control(0.0, loaded.q, loaded.v), bias - 0.5 * loaded.v)
 
 
-def test_a_free_base_starts_as_said(tmp_path: Path) -> None:
+def test_initial_state_of_free_base(tmp_path: Path) -> None:
     more = 'rpy = [0, 0, "90 deg"]\nvelocity = [1, 0, 0]\nangular_velocity = [0, 0, "60 rpm"]\n[plane.belt]'
     loaded = scene_of(tmp_path, BALL.replace("[plane.belt]", more))
     np.testing.assert_allclose(loaded.q, [0, 0, 0.25, 0, 0, math.sqrt(0.5), math.sqrt(0.5)])
-    np.testing.assert_allclose(loaded.v, [0, -1, 0, 0, 0, 2 * math.pi], atol=1e-15)  # in the base's own axes
+    np.testing.assert_allclose(loaded.v, [0, -1, 0, 0, 0, 2 * math.pi], atol=1e-15)  # in axes of the base
 
 
-def test_control_leaves_a_free_base_alone() -> None:
+def test_control_excludes_free_base() -> None:
     loaded = load_scene(SCENES / "solo12_landing.toml")
     moved = pin.integrate(loaded.robot.model, loaded.q, 0.1 * np.ones(18))
     force = loaded.scene.control.drives(loaded.robot.model)(0.0, moved, np.ones(18))
     np.testing.assert_allclose(force, [0.0] * 6 + [-6.0 * 0.1 - 0.15] * 12, rtol=1e-9)
 
 
-def test_friction_of_sustained_contact_is_what_the_file_says(tmp_path: Path) -> None:
+def test_sliding_friction_of_file(tmp_path: Path) -> None:
     text = BALL.replace("[[contact]]", "[[contact]]\nsliding_friction = 0.35")
     (contact,) = scene_of(tmp_path, text).scene.contacts
     assert (contact.friction, contact.sliding_friction) == (0.1, 0.35)
 
 
-def test_a_run_takes_the_steps_that_the_file_says(tmp_path: Path) -> None:
+def test_step_size_of_file(tmp_path: Path) -> None:
     loaded = scene_of(
         tmp_path, BALL.replace("duration = 1.5", 'duration = 0.05\nscheme = "time-stepping"\ndt = "2 ms"')
     )
@@ -159,7 +159,7 @@ def test_a_run_takes_the_steps_that_the_file_says(tmp_path: Path) -> None:
     assert np.diff(times) == pytest.approx(2e-3)
 
 
-def test_a_control_is_sampled_as_the_file_says(tmp_path: Path) -> None:
+def test_control_period_of_file(tmp_path: Path) -> None:
     text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
     sampled = text.replace("[control]", '[control]\nperiod = "2 ms"\ndelay = 3e-3')
     loaded = scene_of(tmp_path, sampled)
@@ -175,7 +175,7 @@ def test_a_control_is_sampled_as_the_file_says(tmp_path: Path) -> None:
             scene_of(tmp_path, text.replace("[control]", f"[control]\n{wrong}"))
 
 
-def test_two_arms_are_two_arms() -> None:
+def test_two_arms_in_one_scene() -> None:
     loaded = load_scene(SCENES / "two_arms.toml")
     model, one = loaded.robot.model, pinimpact.load_robot("ur5").model
     assert (model.nq, model.njoints) == (2 * one.nq, 2 * (one.njoints - 1) + 1)
@@ -191,14 +191,14 @@ def test_two_arms_are_two_arms() -> None:
     assert loaded.robot.visual_model.ngeoms == 2 * pinimpact.load_robot("ur5").visual_model.ngeoms
 
 
-def test_robots_need_their_own_prefixes() -> None:
+def test_robots_without_distinct_prefixes_raise() -> None:
     arm = Placed(pinimpact.load_robot("two_link_arm"), "", pin.SE3.Identity())
     with pytest.raises(pinimpact.InputError, match="give each its own prefix"):
         assemble([arm, arm])
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
-def test_examples_load_and_start_free(path: Path) -> None:
+def test_examples_load_and_start_without_penetration(path: Path) -> None:
     loaded = load_scene(path)
     data = loaded.robot.model.createData()
     for contact in loaded.scene.contacts:
@@ -292,7 +292,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_said_by_key(case: str, tmp_path: Path) -> None:
+def test_error_names_key(case: str, tmp_path: Path) -> None:
     (old, new), error, message = WRONG[case]
     assert old in BALL
     with pytest.raises(error, match=f"(?s){message}") as caught:
@@ -300,12 +300,12 @@ def test_what_is_wrong_is_said_by_key(case: str, tmp_path: Path) -> None:
     assert caught.value.field
 
 
-def test_a_file_without_robots(tmp_path: Path) -> None:
+def test_file_without_robots_raises(tmp_path: Path) -> None:
     with pytest.raises(pinimpact.InputError, match=r"robot: \[\] given.*at least 1"):
         scene_of(tmp_path, "duration = 1.0\nrobot = []\n")
 
 
-def test_no_such_file(tmp_path: Path) -> None:
+def test_missing_file_raises(tmp_path: Path) -> None:
     with pytest.raises(pinimpact.InputError, match=r"nothing\.toml"):
         load_scene(tmp_path / "nothing.toml")
 
@@ -324,12 +324,12 @@ def test_quantities(text, kind, value) -> None:
 
 
 @pytest.mark.parametrize("bad", ["5", "x m", "nan m", True, "5 s", [1], math.inf, 10**400])
-def test_what_is_no_length(bad) -> None:
+def test_invalid_length_raises(bad) -> None:
     with pytest.raises(ValueError, match="is not a length"):
         quantity(bad, "length")
 
 
-def test_motors_of_a_file_are_a_joint_pd_within_their_effort(tmp_path: Path) -> None:
+def test_motors_of_file_become_joint_pd_with_effort_limits(tmp_path: Path) -> None:
     text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
     control = scene_of(tmp_path, text.replace("[control]", "[control]\nlargest_effort = 1.5")).scene.control
     assert isinstance(control, pinimpact.JointPD)
@@ -340,6 +340,6 @@ def test_motors_of_a_file_are_a_joint_pd_within_their_effort(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("value", "kind"), [("30 cm", "an angle"), ("2 kg", "a time")])
-def test_a_value_of_another_unit_is_told_in_good_english(value, kind):
+def test_message_on_wrong_unit_uses_correct_article(value, kind):
     with pytest.raises(ValueError, match=f"'{value}' is not {kind}; its units are"):
         quantity(value, kind.split()[1])

@@ -1,6 +1,6 @@
-"""Degenerate everyday motions by the default scheme against time steps: two formulations of the same law.
+"""Degenerate motions of boxes by the default scheme and by time stepping.
 
-Faces lie on faces, so that loads are shared in many ways, and forces begin slip and rotation from rest.
+Faces lie on faces, so load distributions are not unique, and forces start slip and rotation from rest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FLAT = [0.0, 0.0, 0.05, *UP]
 
 
 def pushed(scene, q0, force, v0=None, gravity=(0.0, 0.0, -G)):
-    """Return a scene under constant generalized forces and a gravity, and where it begins."""
+    """Return a scene with constant generalized forces and the given gravity, and its initial state."""
     scene.model.gravity.linear[:] = gravity
     force = np.array(force, dtype=float)
     scene = dataclasses.replace(scene, control=lambda t, q, v: force)
@@ -58,7 +58,7 @@ def in_a_corner(force):
 
 
 def in_a_groove(force, v0=None):
-    # the box lies on an edge: the width of its faces from the bottom of the groove
+    # the box stands on an edge, with its faces on the sides of the groove
     turn = pin.Quaternion(pin.exp3(np.array([np.pi / 4, 0.0, 0.0]))).coeffs()
     center = np.array([0.0, 0.1 - 0.05, 0.1 + 0.05]) / np.sqrt(2.0)
     normals = [np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0), np.array([0.0, -1.0, 1.0]) / np.sqrt(2.0)]
@@ -96,18 +96,18 @@ MOTIONS = {
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_events_and_time_steps_give_the_same_motion(name):
+def test_default_scheme_and_time_stepping_agree(name):
     scene, q0, v0 = MOTIONS[name]
     located = simulate(scene, q0, v0, 0.25)
     assert located.complete
     coarse, fine = (simulate(scene, q0, v0, 0.25, scheme="time-stepping", dt=dt).q[-1] for dt in (1e-3, 5e-4))
-    # steps are of first order where contact changes, and share loads to a part of their compliances
+    # steps are of first order at changes of contact, and load distributions depend on compliances
     error = 3.0 * np.abs(coarse - fine).max() + 3e-4 * np.abs(located.q[-1] - q0).max() + 1e-9
     assert located.q[-1] == pytest.approx(2.0 * fine - coarse, abs=error)
 
 
 def rod(tilt, height, **coefficients):
-    """A rod of 1 m and 1 kg whose lower end is so high above a floor; the scene and its configuration."""
+    """Return a scene of a rod of 1 m and 1 kg with its lower end at `height` above a floor, and q."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "rod")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1 / 12, 1 / 12, 1e-3]))
@@ -121,14 +121,16 @@ def rod(tilt, height, **coefficients):
 
 
 @pytest.mark.parametrize(("restitution", "spin"), [(0.0, 0.0), (0.3, 0.0), (0.0, 3.0), (0.3, 3.0)])
-def test_forces_on_the_end_of_a_rod_that_falls_over_converge(restitution, spin):
-    """Its path is curved, and a bounce or the landing leaves a normal velocity, which must not stay."""
+def test_forces_on_falling_rod_converge(restitution, spin):
+    """The end moves along a curve; a normal velocity left by rebound or landing must not persist."""
     scene, q0 = rod(0.3, 0.01, friction=0.1, restitution=restitution)
     v0, errors = np.array([0.0, 0.0, 0.0, 0.0, spin, 0.0]), []
     exact = simulate(scene, q0, v0, 0.35, scheme="event-driven")
     for dt in (2e-3, 1e-3, 5e-4):
         run = simulate(scene, q0, v0, 0.35, scheme="time-stepping", dt=dt)
-        t = dt * np.arange((exact.impacts[-1].time + 0.02) // dt + 0.5, 0.35 / dt)  # means are those there
+        t = dt * np.arange(
+            (exact.impacts[-1].time + 0.02) // dt + 0.5, 0.35 / dt
+        )  # forces are means over steps
         ratio = run.forces("end", t)[:, 2] / exact.forces("end", t)[:, 2]
         errors.append(np.abs(ratio - 1.0).max())
         assert abs(run.energy.residual).max() < 1e-3 * exact.energy.kinetic.max()
@@ -137,8 +139,8 @@ def test_forces_on_the_end_of_a_rod_that_falls_over_converge(restitution, spin):
 
 
 @pytest.mark.parametrize("part", [0.1, 0.35, 0.6, 0.85])
-def test_what_lands_is_stopped_at_once_wherever_in_a_step(part):
-    """The slip of a rod that lands obliquely turns: two impacts that stop a part each are another one."""
+def test_landing_rod_is_stopped_by_one_impact(part):
+    """The direction of slip changes in an oblique landing, so one impact differs from two successive ones."""
     dt, v0 = 1e-5, np.array([0.5, 1.0, -2.0, 3.0, 4.0, 0.0])
     scene, q0 = rod(0.6, 0.0, friction=0.3)
     data, end = scene.model.createData(), scene.model.getFrameId("end")
@@ -153,8 +155,8 @@ def test_what_lands_is_stopped_at_once_wherever_in_a_step(part):
 
 
 @pytest.mark.parametrize("short", [1e-6, 1e-9])
-def test_short_steps_in_between_change_little(short):
-    """The impulses of a step predict those of the next, but not where that is a million times as long."""
+def test_intermediate_short_steps_have_little_effect(short):
+    """Impulses of a step are the warm start of the next one, unless that is a million times longer."""
     scene, q0 = rod(0.3, 0.01, friction=0.1)
     ends = []
     for between in ((short,), ()):
@@ -169,10 +171,10 @@ def test_short_steps_in_between_change_little(short):
 
 @pytest.mark.parametrize("gravity", [0.0, G])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 5.0])
-def test_what_is_pressed_onto_a_curved_surface_stays_on_it(gravity, speed):
-    """The force on a point that circles a sphere is the press less m v²/R, and it keeps its speed.
+def test_pressed_point_stays_on_sphere(gravity, speed):
+    """The contact force on a point that circles a sphere is the pressing force minus m v²/R.
 
-    At midpoints its gap is open by h² v²/2R, more than gravity could close, and without gravity any gap is.
+    At midpoints the gap is h² v²/2R, more than gravity could close in a step.
     """
     radius, press, duration = 0.1, 300.0, 0.2
     model, joint = pin.Model(), 0
@@ -198,24 +200,24 @@ def test_what_is_pressed_onto_a_curved_surface_stays_on_it(gravity, speed):
         )
     rough, fine = np.abs(errors)
     assert rough[0] < 0.03
-    assert (fine < 0.3 * rough).all()  # of second order
+    assert (fine < 0.3 * rough).all()  # second order
 
 
-def test_a_ball_rolls_over_a_sphere_to_second_order():
-    """Its surface turns below the point of contact, and its velocity in its own axes."""
+def test_ball_rolling_over_sphere_is_of_second_order():
+    """Both the surface at the contact point and the axes of the velocity rotate."""
     ball = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1), name="ball")
     scene = Scene(ball, Contact(geometry="ball", plane=Sphere(radius=1.0), friction=0.3))
     q0 = np.array([1.1 * np.sin(0.3), 0.0, 1.1 * np.cos(0.3), *UP])
     exact = simulate(scene, q0, np.zeros(6), 0.5, scheme="event-driven", rtol=1e-10, atol=1e-12)
     errors = []
-    for dt in (1e-3, 5e-4, 2.5e-4):  # longer ones are halved: it turns too fast
+    for dt in (1e-3, 5e-4, 2.5e-4):  # longer steps would be halved because of the fast rotation
         run = simulate(scene, q0, np.zeros(6), 0.5, scheme="time-stepping", dt=dt)
         errors.append(np.abs(pin.difference(scene.model, run.q[-1], exact.q[-1])).max())
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
     assert errors[-1] < 1e-4  # rad
 
 
-def test_a_disc_rolls_in_a_circle_in_time_steps():
+def test_disc_rolls_in_circle_by_time_stepping():
     """Steady precession: with k along the axle and d to the lowest point, d(L)/dt = Ω × L is the torque."""
     mass, radius, tilt, track, thin = 1.0, 0.1, 1.2, 0.3, 1e-4
     k = np.array([np.sin(tilt), 0.0, np.cos(tilt)])

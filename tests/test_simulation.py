@@ -25,7 +25,7 @@ def sphere(**options):
     return Contact("center", FLOOR, radius=0.1, name="ball", **options)
 
 
-def test_a_bouncing_ball_meets_its_times_and_heights_and_comes_to_rest_at_the_zeno_time():
+def test_bouncing_ball_agrees_with_closed_form_up_to_zeno_time():
     e, height = 0.5, 1.0
     scene = Scene(ball(), [sphere(restitution=e)], resting_speed=1e-5)
     trajectory = run(scene, [0, 0, 0.1 + height, *UP], np.zeros(6), 2.0)
@@ -49,7 +49,7 @@ def test_a_bouncing_ball_meets_its_times_and_heights_and_comes_to_rest_at_the_ze
 
 
 @pytest.mark.parametrize("direction", [0.0, 0.7, 3.0])
-def test_a_ball_that_slides_comes_to_roll(direction):
+def test_sliding_ball_starts_to_roll(direction):
     mu, v0 = 0.3, 2.0
     heading = np.array([np.cos(direction), np.sin(direction), 0.0])
     scene = Scene(ball(), [sphere(friction=mu)])
@@ -67,15 +67,15 @@ def test_a_ball_that_slides_comes_to_roll(direction):
 
 
 @pytest.mark.parametrize(("rtol", "atol"), [(1e-13, 1e-10), (1e-9, 1e-8)])
-def test_a_ball_rolls_whatever_its_absolute_tolerance(rtol, atol):
+def test_ball_rolls_at_any_absolute_tolerance(rtol, atol):
     scene, tolerances = Scene(ball(), [sphere(friction=0.3)]), {"rtol": rtol, "atol": atol}
-    v0 = [0.5, 0, 0, 0, 5.0, 1.0]  # it rolls, and turns about the vertical
+    v0 = [0.5, 0, 0, 0, 5.0, 1.0]  # rolling, with rotation about the vertical
     trajectory = run(scene, [0, 0, 0.1, *UP], v0, 1.0, scheme="event-driven", **tolerances)
     assert trajectory.q[-1, :3] == pytest.approx([0.5, 0.0, 0.1], abs=10 * atol)
 
 
 @pytest.mark.parametrize("excess", [-1e-3, 1e-3])
-def test_a_block_on_a_slope_sticks_below_the_friction_angle_and_slides_above(excess):
+def test_block_on_slope_sticks_below_friction_angle_and_slides_above(excess):
     mu = 0.5
     angle = np.arctan(mu) + excess
     normal = (np.sin(angle), 0.0, np.cos(angle))
@@ -90,7 +90,7 @@ def test_a_block_on_a_slope_sticks_below_the_friction_angle_and_slides_above(exc
         assert way == pytest.approx(0.5 * G * (np.sin(angle) - mu * np.cos(angle)) * 9.0, rel=1e-7)
 
 
-def test_a_rod_that_stands_on_two_tips_of_a_slope_holds_and_slides_alike():
+def test_rod_on_two_tips_sticks_below_friction_angle_and_slides_above():
     mu, angle = 0.5, np.arctan(0.5)
     rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 0.1, 0.1])), [(-0.5, 0, 0), (0.5, 0, 0)])
     for tilt, mode in ((angle - 1e-3, "stick"), (angle + 1e-3, "slip")):
@@ -103,7 +103,7 @@ def test_a_rod_that_stands_on_two_tips_of_a_slope_holds_and_slides_alike():
         assert np.linalg.norm(trajectory.q[-1, :3]) == pytest.approx(way, rel=1e-6, abs=1e-12)
 
 
-def test_slip_begins_and_ends_when_a_swelling_force_says_so():
+def test_slip_begins_when_increasing_force_exceeds_friction():
     mu, mass, swell = 0.4, 2.0, 3.0
 
     def push(t, q, v):
@@ -119,7 +119,7 @@ def test_slip_begins_and_ends_when_a_swelling_force_says_so():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("swings", [1000, pytest.param(10_000, marks=pytest.mark.exhaustive)])
-def test_a_pendulum_keeps_period_and_energy_over_many_swings(swings):
+def test_pendulum_keeps_period_and_energy_over_many_swings(swings):
     amplitude = 2.0
     m = np.sin(amplitude / 2) ** 2
     period = 4 * ellipk(m) * np.sqrt(1 / G)
@@ -127,14 +127,14 @@ def test_a_pendulum_keeps_period_and_energy_over_many_swings(swings):
         Scene(pendulum()), [amplitude], [0.0], swings * period, audit=1e-8, rtol=1e-12, atol=1e-13
     )
     assert trajectory.q[-1, 0] == pytest.approx(amplitude, abs=1e-8)
-    assert abs(trajectory.v[-1, 0]) < 2e-8 * swings  # a phase error of 1e-9 of a swing each
+    assert abs(trajectory.v[-1, 0]) < 2e-8 * swings  # a phase error of 1e-9 of a period per swing
     quarter = np.array([0.1, 0.3, 12.34]) * period
     sn = ellipj(np.sqrt(G) * quarter + ellipk(m), m)[0]
     q, _ = trajectory.sample(quarter)
     assert q[:, 0] == pytest.approx(2 * np.arcsin(np.sqrt(m) * sn), abs=1e-8)
 
 
-def test_a_tumbling_body_keeps_energy_and_angular_momentum():
+def test_tumbling_body_conserves_energy_and_momentum():
     model = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.2, 0.3])))
     model.gravity = pin.Motion.Zero()
     trajectory = run(Scene(model), [0, 0, 0, *UP], [1.0, 2.0, 3.0, 0.1, 5.0, 0.1], 20.0)
@@ -150,12 +150,12 @@ def test_a_tumbling_body_keeps_energy_and_angular_momentum():
 
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-9])
-def test_a_tip_that_dips_in_and_out_within_a_step_is_caught(depth):
+def test_short_contact_within_a_step_is_detected(depth):
     model = pendulum()
     model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "idle")
     model.appendBodyToJoint(2, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
     unbounded(model)
-    model.gravity = pin.Motion.Zero()  # the flow is exact, so that steps are as long as they may be
+    model.gravity = pin.Motion.Zero()  # steps are exact and thus as long as possible
     floor = Plane(point=(0, 0, -1.0 + depth))
     q0, v0 = [-0.5, 0.0], [1.0, 0.0]
     scene = Scene(model, [Contact("tip", floor, restitution=1.0)], resting_speed=1e-7)
@@ -168,7 +168,7 @@ def test_a_tip_that_dips_in_and_out_within_a_step_is_caught(depth):
     assert missed.statistics["steps"] <= 10
 
 
-def test_a_belt_brings_a_block_to_its_speed_and_pays_for_it():
+def test_belt_accelerates_block_with_work_of_surface():
     mu, speed, mass = 0.2, 1.5, 3.0
     belt = Plane(velocity=(speed, 0, 0))
     trajectory = run(
@@ -180,7 +180,7 @@ def test_a_belt_brings_a_block_to_its_speed_and_pays_for_it():
     assert trajectory.energy.friction[-1] == pytest.approx(-0.5 * mass * speed**2, rel=1e-6)
 
 
-def test_a_block_rides_a_turntable_where_friction_can_turn_it():
+def test_block_on_turntable_sticks_if_friction_suffices():
     spin, radius = 2.0, 0.3
     table = Plane(angular_velocity=(0, 0, spin))
     for mu, rides in ((1.01 * spin**2 * radius / G, True), (0.99 * spin**2 * radius / G, False)):
@@ -194,15 +194,15 @@ def test_a_block_rides_a_turntable_where_friction_can_turn_it():
             assert np.linalg.norm(end) > 1.01 * radius
 
 
-def test_a_ball_on_a_belt_rolls_at_its_own_pace():
+def test_ball_placed_on_belt_reaches_two_sevenths_of_its_speed():
     belt = Plane(velocity=(1.0, 0, 0))
     scene = Scene(ball(), [Contact("center", belt, friction=0.3, radius=0.1)])
     trajectory = run(scene, [0, 0, 0.1, *UP], np.zeros(6), 1.0)
     R = pin.Quaternion(trajectory.q[-1, 3:]).matrix()
-    assert R @ trajectory.v[-1, :3] == pytest.approx([2 / 7, 0, 0], abs=1e-7)  # as a ball set down on it does
+    assert R @ trajectory.v[-1, :3] == pytest.approx([2 / 7, 0, 0], abs=1e-7)  # as of a ball placed on it
 
 
-def test_a_joint_stops_at_its_limit():
+def test_joint_limit_rebounds_and_supports_load():
     model = pendulum()
     model.gravity = pin.Motion.Zero()
     model.upperPositionLimit = np.array([0.5])
@@ -211,14 +211,14 @@ def test_a_joint_stops_at_its_limit():
     assert (hit.source, hit.time) == ("hinge upper", pytest.approx(0.5, rel=1e-12))
     assert trajectory.q[-1, 0] == pytest.approx(0.25, rel=1e-9)
     assert hit.solution.velocity[2] == pytest.approx(0.5)
-    model.gravity.linear = np.array([G, 0.0, 0.0])  # pushes against the limit, up to a quarter turn away
+    model.gravity.linear = np.array([G, 0.0, 0.0])  # pushes against the limit
     model.gravity = pin.Motion(np.array([-G, 0.0, 0.0]), np.zeros(3))
     trajectory = run(Scene(model), [0.0], [0.0], 3.0)
     assert trajectory.q[-1, 0] == 0.5
     assert trajectory.mode_at("hinge upper", 2.9) == "closed"
 
 
-def test_dry_friction_in_a_joint_stops_it_and_holds_it():
+def test_dry_friction_stops_and_holds_joint():
     model = pendulum()
     model.gravity = pin.Motion.Zero()
     model.friction = np.array([0.5])
@@ -232,7 +232,7 @@ def test_dry_friction_in_a_joint_stops_it_and_holds_it():
         assert bool(trajectory.q[-1, 0] == angle) is holds
 
 
-def test_a_rod_that_falls_flat_on_both_tips_flags_them_and_lies_without_drift():
+def test_rod_landing_flat_has_simultaneous_impacts_and_no_constraint_drift():
     rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 0.1, 0.1])), [(-0.5, 0, 0), (0.5, 0, 0)])
     contacts = [Contact(f"tip{k}", FLOOR, friction=0.3, restitution=0.4) for k in range(2)]
     trajectory = run(Scene(rod, contacts), [0, 0, 0.2, *UP], np.zeros(6), 20.0)
@@ -244,7 +244,7 @@ def test_a_rod_that_falls_flat_on_both_tips_flags_them_and_lies_without_drift():
     assert np.abs(trajectory.v[-1]).max() < 1e-9
 
 
-def test_four_tips_share_a_load_that_is_not_unique():
+def test_non_unique_load_of_four_tips_is_noted():
     tips = [(x, y, -0.1) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
     table = free_body(pin.Inertia(4.0, np.array([0.1, 0.05, 0.0]), np.diag([0.1, 0.1, 0.1])), tips)
     contacts = [Contact(f"tip{k}", FLOOR, friction=0.5, restitution=0.2) for k in range(4)]
@@ -254,8 +254,8 @@ def test_four_tips_share_a_load_that_is_not_unique():
     assert any("not unique" in note.text for note in trajectory.notes)
 
 
-def test_slip_that_no_force_can_hold_becomes_an_impact_without_collision():
-    # a rod that is pushed ahead of its tip at a steep angle: c − μ b < 0, and gravity presses on
+def test_slip_without_consistent_forces_becomes_impact_without_collision():
+    # a steep rod pushes its tip ahead: c − μ b < 0, and gravity presses the tip onto the floor
     rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12, 1 / 12])), [(-0.5, 0, 0)])
     tilt, mu = np.radians(60.0), 2.5
     plane_rotation = pin.utils.rotate("y", -tilt)
@@ -273,8 +273,8 @@ def test_slip_that_no_force_can_hold_becomes_an_impact_without_collision():
             assert any("without collision" in note.text for note in trajectory.notes)
 
 
-def test_a_held_tip_is_a_hinge():
-    # a rod whose end is held turns about it as a pendulum of the same inertia does
+def test_held_tip_is_equivalent_to_hinge():
+    # a rod with a held end rotates like a pendulum of the same inertia
     rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12, 1 / 12])), [(-0.5, 0, 0)])
     scene = Scene(rod, held=[Contact("tip0", FLOOR)])
     held = run(scene, [0.5, 0, 0, *UP], np.zeros(6), 2.0, rtol=1e-9)
@@ -316,8 +316,8 @@ def test_flight_agrees_with_mujoco():
     assert trajectory.v[-1] == pytest.approx(state.qvel, abs=1e-6)
 
 
-def test_a_step_that_leads_out_of_the_finite_is_taken_anew_and_asks_the_control_nothing():
-    # a long flight lets the steps grow; the impact at its end sets a fast smooth oscillation free
+def test_step_to_non_finite_state_is_rejected_without_calling_control():
+    # steps grow during a long flight; the impact at its end starts a fast smooth oscillation
     model, stiffness = slider(), 1e8
     model.lowerPositionLimit = np.array([0.0, -np.inf, -np.inf])
 
@@ -336,8 +336,8 @@ def test_a_step_that_leads_out_of_the_finite_is_taken_anew_and_asks_the_control_
 
 
 @pytest.mark.parametrize("rtol", [1e-5, 1e-8, 1e-11])
-def test_a_control_that_chatters_is_told_of_and_its_remedies_work(rtol):
-    """−sign(v) beside a constant force: at rest from t = 1/0.7 on, where no value of it holds the mass."""
+def test_chattering_control_raises_and_suggested_remedies_succeed(rtol):
+    """Control 0.3 − sign(v): the mass rests from t = 1/0.7, but no value of the control keeps it at rest."""
     model = slider()
     tolerances = {"rtol": rtol, "atol": 1e-2 * rtol}
 
@@ -360,8 +360,8 @@ def test_a_control_that_chatters_is_told_of_and_its_remedies_work(rtol):
     assert abs(trajectory.v[-1, 0]) < 2e-3
 
 
-def test_a_control_that_switches_a_hundred_times_does_not_chatter():
-    """Full force forth and back by turns of 10 ms: v returns after each period of T, and x grows by T²/4."""
+def test_control_that_switches_a_hundred_times_is_accepted():
+    """A force of ±1 N that switches every T = 10 ms: after each period of 2T, v = 0 and x has grown by T²."""
     rtol = 1e-8
     scene = Scene(
         slider(),
@@ -373,7 +373,7 @@ def test_a_control_that_switches_a_hundred_times_does_not_chatter():
     assert trajectory.q[-1, 0] == pytest.approx(50 * 0.01**2, rel=1e-5)
 
 
-def test_energy_counts_the_rotor_inertia_of_a_slanted_axis():
+def test_energy_includes_rotor_inertia_of_unaligned_axis():
     axis, inertia, rotor, rate = np.array([1.0, 2.0, 3.0]) / math.sqrt(14.0), 0.1, 0.7, 2.0
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRevoluteUnaligned(axis), pin.SE3.Identity(), "hinge")
@@ -382,7 +382,7 @@ def test_energy_counts_the_rotor_inertia_of_a_slanted_axis():
     unbounded(model)
     trajectory = simulate(Scene(model, []), [0.0], [rate], 1.0)
     whole = inertia + rotor
-    left = rate * math.exp(-0.3 / whole)  # damped, and nothing else
+    left = rate * math.exp(-0.3 / whole)  # the only force is damping
     assert trajectory.v[-1, 0] == pytest.approx(left, rel=1e-7)
     assert trajectory.energy.kinetic[[0, -1]] == pytest.approx(
         0.5 * whole * np.square([rate, left]), rel=1e-7
@@ -390,7 +390,7 @@ def test_energy_counts_the_rotor_inertia_of_a_slanted_axis():
     assert abs(trajectory.energy.residual[-1]) < 1e-7
 
 
-def test_an_arm_with_rotors_keeps_its_energy():
+def test_arm_with_rotor_inertia_conserves_energy():
     robot = load_robot("two_link_arm")
     model = robot.model
     unbounded(model)
@@ -408,10 +408,10 @@ def test_an_arm_with_rotors_keeps_its_energy():
     assert np.abs(trajectory.energy.residual).max() < 1e-7
 
 
-@pytest.mark.parametrize(("covered", "refused"), [(1e-9, True), (1e-7, False)])
-def test_steps_that_cover_no_time_are_refused(covered, refused):
+@pytest.mark.parametrize(("covered", "stalled"), [(1e-9, True), (1e-7, False)])
+def test_stalled_steps_raise(covered, stalled):
     model = ball()
     integrator = Integrator(Scene(model), pin.neutral(model), np.zeros(6), Options())
     integrator.state.steps, integrator.state.t = MAX_STALLED + 1, covered
     error = integrator.progress.stalled(1.0)
-    assert ("without progress" in str(error)) == refused
+    assert ("without progress" in str(error)) == stalled
