@@ -62,7 +62,7 @@ def value_and_kind(annotation: Any) -> tuple[str, str | None]:
         return ("names" if parts[0] is str else f"list of {words}s"), kind
     if origin is dict:
         words, kind = value_and_kind(parts[1])
-        return f"a {words.replace(' or ', ' or a ')} a joint", kind
+        return f"{words} per joint", kind
     raise TypeError(f"{annotation} has no words")
 
 

@@ -150,8 +150,8 @@ class ContactTable(Table):
     links: str | list[str] | None = None
     """``"all"``, or names of links: contacts of all their collision shapes."""
     rim_points: int | None = None
-    """Number of points of each rim of a cylinder or cone, at least 3. Default: smooth rims, which touch
-    with planes only."""
+    """Number of points of each rim of a cylinder or cone, at least 3. Default: smooth rims, which
+    make contact with planes only."""
     plane: str
     """Name of the surface: a plane, sphere, box or shape."""
     friction: float = 0.0
@@ -175,7 +175,7 @@ class ContactTable(Table):
 
 
 class StartTable(Table):
-    """``[start]``: q and v as vectors, or joints by name; other joints are as in the robot, at rest."""
+    """``[start]``: initial state, as vectors or by joint name; default: that of the robot, at rest."""
 
     q: list[float] | None = None
     """Configuration, in Pinocchio's order [m, rad]."""
