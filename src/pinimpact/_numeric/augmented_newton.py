@@ -27,7 +27,7 @@ from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign
 from .products import dot
-from .profile import apply_within, eliminate_profile
+from .profile import apply_within, eliminate_profile, substitute_profile
 from .tolerances import STALLED, TINY
 
 ITERATIONS = 40
@@ -288,26 +288,35 @@ def fill_compliances(problem, part, diagonal, given):
 
 
 @inlined
-def solve_compliances(problem, profile, r, before, least, now, system):
+def solve_compliances(problem, profile, r, before, least, now, system, factored):
     """Solve (16.3) for w of the `Iterate` now, given f, by Newton's method.
 
     It stops at a relative norm `least` of the residual, which is small so that results are differentiable.
-    system (m, m) is a scratch array; other arguments as in `fill_system`.
+    If system (m, m) is `factored`, it contains the factors of a previous iteration, which are used as long as
+    each step halves the residual: the active set is mostly the same. Return whether it contains factors at
+    the end. Other arguments as in `fill_system`.
     """
     w, momentum, residual = now.w, now.momentum, now.residual
-    m, previous_error = len(w), math.inf
+    m, previous_error, reuse = len(w), math.inf, factored
     d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
     for step in range(STEPS + 1):
         answer_signals()
         error = evaluate(problem, r, before, now)
-        if step == STEPS or error <= least or (error < 1e3 * least and error > 0.5 * previous_error):
+        stalled = error > HALF * previous_error
+        if step == STEPS or error <= least or (stalled and not reuse and error < 1e3 * least):
             break
+        reuse = reuse and not stalled
         previous_error, share = error, 0.0
         for attempt in range(2):  # the second matrix is definite, so its step descends
-            fill_system(problem, profile, r, now.u, before, attempt == 0, system)
             for a in range(m):
                 d[a] = -residual[a]
-            if not eliminate_profile(system, profile[1], d):
+            if reuse:
+                substitute_profile(system, profile[1], d)
+                share = 1.0
+                break
+            fill_system(problem, profile, r, now.u, before, attempt == 0, system)
+            factored = eliminate_profile(system, profile[1], d)
+            if not factored:
                 continue
             rates(problem.values, problem.columns, problem.counts, d, du)
             apply_within(problem.mass, problem.start, d, md)
@@ -316,6 +325,7 @@ def solve_compliances(problem, profile, r, before, least, now, system):
                 break
         for a in range(m):
             w[a] += share * d[a]
+    return factored
 
 
 @inlined
@@ -380,10 +390,10 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
     for a in range(m):
         now.scale[a] = 1.0 / math.sqrt(problem.mass[a, a])
     assign(w, begin)
-    balanced = 0.1 * accuracy
+    balanced, factored = 0.1 * accuracy, False
     lowest, reached, before, slow, enough = math.inf, 1.0, math.inf, 0, QUICK
     for iteration in range(ITERATIONS):
-        solve_compliances(problem, profile, r, x, balanced, now, system)
+        factored = solve_compliances(problem, profile, r, x, balanced, now, system, factored)
         if iteration == 0:
             assign(begin, w)
         reached = 0.0
@@ -398,6 +408,7 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
             break
         if reached > enough * lowest and lowest < HALF * before:
             before, lowest, slow, enough = lowest, math.inf, 0, HALF
+            factored = False
             for a in range(n):
                 r[a] *= FINER
         lowest = min(lowest, reached)

@@ -30,14 +30,23 @@ def eliminate_profile(system, last, x):
         inverse = 1.0 / pivot[k]
         for a in range(k + 1, last[k] + 1):
             row = system[a]
-            part = row[k] * inverse
+            part = row[k] = row[k] * inverse
             if part != 0.0:
                 for b in range(k + 1, last[k] + 1):
                     row[b] -= part * pivot[b]
-                x[a] -= part * x[k]
+    substitute_profile(system, last, x)
+    return True
+
+
+@external
+def substitute_profile(factors, last, x):
+    """Replace x (m,) by the solution of a system with the factors of `eliminate_profile`."""
+    m = len(x)
+    for k in range(m):
+        for a in range(k + 1, last[k] + 1):
+            x[a] -= factors[a, k] * x[k]
     for a in range(m - 1, -1, -1):
         total = x[a]
         for b in range(a + 1, last[a] + 1):
-            total -= system[a, b] * x[b]
-        x[a] = total / system[a, a]
-    return True
+            total -= factors[a, b] * x[b]
+        x[a] = total / factors[a, a]
