@@ -18,8 +18,8 @@ from typing import NoReturn
 
 import numpy as np
 from tests import random_control, random_trees
-from tests.lawful import unlawful
-from tests.random_scenes import DURATION, draw, unaccounted
+from tests.lawful import law_violation
+from tests.random_scenes import DURATION, draw, relative_energy_residual
 
 from pinimpact import PinimpactError, Scene, Trajectory, simulate
 
@@ -61,7 +61,7 @@ def main() -> None:
             bad += 1
             print(f"{seed}: {name}, rtol {rtol:.0e}: {error}", flush=True)
             continue
-        reason = random_control.wrong_in(trajectory, rtol) or unlawful(scene, trajectory, rtol, seed)
+        reason = random_control.violation_in(trajectory, rtol) or law_violation(scene, trajectory, rtol, seed)
         if reason:
             bad += 1
             print(f"{seed}: {name}, rtol {rtol:.0e}: {reason}", flush=True)
@@ -69,7 +69,7 @@ def main() -> None:
         jams += sum("jam" in note.text for note in trajectory.notes)
         crossed += bool(trajectory.stepped)
         longest = max(longest, (trajectory.statistics["steps"], seed))
-        worst = max(worst, (unaccounted(trajectory) / rtol, seed))
+        worst = max(worst, (relative_energy_residual(trajectory) / rtol, seed))
     lines = [
         f"{runs} runs of {DURATION:g} s with {impacts} impacts and {jams} jams",
         f"{bad} failed, {crossed} took time steps",

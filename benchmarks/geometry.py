@@ -1,4 +1,4 @@
-"""What contact from geometry costs: a Panda all links of which are watched, against the same without.
+"""Cost of contacts from collision shapes: a Panda with contacts of all links, against one without.
 
 python -m benchmarks.geometry
 """

@@ -1,4 +1,4 @@
-"""Where, and by how much, Pinocchio's constraint solvers end elsewhere than the path (e = 0).
+"""Difference between solutions of Pinocchio's constraint solvers and of the impulse path (e = 0).
 
 python -m benchmarks.other_model
 """
@@ -17,21 +17,21 @@ SIZES = (3, 7)
 
 
 def draw_problems() -> list[ImpactProblem]:
-    """Random spatial contacts, a few planar ones, and some whose slip stops."""
+    """Return random spatial contacts, some planar ones, and some whose slip stops."""
     rng = np.random.default_rng(0)
     problems = []
     for k in range(COUNT):
         X = rng.standard_normal(SIZES)
         v = rng.standard_normal(3)
         v[2] = -abs(v[2])
-        if k % 10 == 0:  # planar: nothing happens along t₂
+        if k % 10 == 0:  # planar: no motion along t₂
             X[1], v[1] = 0.0, 0.0
         problems.append(ImpactProblem(X @ X.T / SIZES[1], v, float(rng.choice([0.1, 0.3, 0.6])), 0.0))
     return problems
 
 
 def regime(flags: Flag) -> str:
-    """Name what happens to slip on the path."""
+    """Return a name for the evolution of slip along the path."""
     if Flag.STICK in flags:
         return "slip stops, stick"
     if Flag.SLIP_RESUMED in flags:
@@ -40,7 +40,7 @@ def regime(flags: Flag) -> str:
 
 
 def main() -> None:
-    """Solve both ways, print a line for each regime, and draw the difference against the turn of slip."""
+    """Solve by both, print a line per regime, and plot the difference over the rotation of slip."""
     found: dict[str, list[tuple[float, float, dict[str, float]]]] = {}
     for problem in draw_problems():
         path = solve_impact(problem)

@@ -1,9 +1,9 @@
-"""What persistent contact costs: robots that stand, land and trot, and a box on many corners.
+"""Cost of persistent contact: robots that stand, land and trot, and a box on many corners.
 
 python -m benchmarks.persistent_contact
 
-Beside it stands the time of MuJoCo with steps of 2 ms for the same bodies and contact points, its joints
-drawn by springs and dampers of the same gains.
+Run times are compared with MuJoCo with steps of 2 ms, the same bodies and contact points, and springs and
+dampers of the same gains at the joints.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ORIGINS = [(foot, (0.0, 0.0, 0.0)) for foot in FEET]
 GAINS = (20.0, 0.5)
 """Stiffness [N m/rad] and damping [N m s/rad] of the joints of a standing quadruped."""
 STEP = 2e-3
-"""Of MuJoCo [s]."""
+"""Step size of MuJoCo [s]."""
 SOLES = ("left_sole_link", "right_sole_link")
 Run = Callable[[], Trajectory]
 
@@ -50,14 +50,14 @@ def quadruped() -> tuple[pin.Model, np.ndarray, list[Contact]]:
 
 
 def standing() -> Run:
-    """Solo12 stands for 10 s under joint PD."""
+    """Return a run of solo12 that stands for 10 s under joint PD."""
     model, q, contacts = quadruped()
     scene = Scene(model, contacts, control=JointPD(*GAINS, q))
     return lambda: simulate(scene, q, np.zeros(model.nv), 10.0, rtol=1e-6, atol=1e-8)
 
 
 def trotting() -> Run:
-    """Solo12 trots in place for 1 s: pairs of legs are drawn up in turn, by a control sampled at 1 kHz."""
+    """Return a run of solo12 that trots in place for 1 s, lifting pairs of legs, controlled at 1 kHz."""
     model, q, contacts = quadruped()
     lift = np.array([0.0, 0.35, -0.7])
 
@@ -75,7 +75,7 @@ def trotting() -> Run:
 
 
 def steps_standing() -> Callable[[], None]:
-    """A hundred steps of 1 ms of solo12 on its feet, each with torques of its own."""
+    """Return 100 steps of 1 ms of a standing solo12, with new torques in each step."""
     model, q, contacts = quadruped()
     stepper = Stepper(Scene(model, contacts), q, np.zeros(model.nv), rtol=1e-6, atol=1e-8)
 
@@ -89,7 +89,7 @@ def steps_standing() -> Callable[[], None]:
 
 
 def branches() -> Callable[[], None]:
-    """A hundred copies of a stepper of solo12 on its feet, each of which takes 20 steps of 1 ms."""
+    """Return 100 copies of a stepper of a standing solo12, each of which takes 20 steps of 1 ms."""
     model, q, contacts = quadruped()
     stepper = Stepper(Scene(model, contacts), q, np.zeros(model.nv), rtol=1e-6, atol=1e-8)
     pulls = [np.append(np.zeros(6), np.full(12, 0.01 * k)) for k in range(BRANCHES)]
@@ -105,9 +105,9 @@ def branches() -> Callable[[], None]:
 
 
 def steps_in_mujoco() -> Callable[[], None]:
-    """A hundred steps of 1 ms of the same in MuJoCo, each with torques computed in Python as well.
+    """Return 100 steps of 1 ms of the same in MuJoCo, with torques computed in Python in each step.
 
-    They have less damping: with as much these steps are unstable.
+    Damping is lower, since these steps are unstable with the full damping.
     """
     _, q, _ = quadruped()
     model = over_a_floor(in_mujoco("Solo12Loader", (0.0, 0.0)), q, q, ORIGINS, step=1e-3)
@@ -123,7 +123,7 @@ def steps_in_mujoco() -> Callable[[], None]:
 
 
 def steps_in_flight() -> Callable[[], None]:
-    """A hundred steps of 1 ms of a Panda that falls, a floor below it."""
+    """Return 100 steps of 1 ms of a Panda that falls above a floor."""
     robot = load_robot("panda")
     contact = Contact("panda_hand_tcp", Plane(point=(0.0, 0.0, -1.0)), friction=0.3)
     still = np.zeros(robot.model.nv)
@@ -137,7 +137,7 @@ def steps_in_flight() -> Callable[[], None]:
 
 
 def humanoid() -> Run:
-    """Talos stands for 1 s on the corners of its soles, drawn to its posture by joint PD."""
+    """Return a run of Talos that stands for 1 s on the corners of its soles under joint PD."""
     robot = load_robot("talos")
     model, corners = robot.model, []
     for sole in SOLES:
@@ -154,7 +154,7 @@ def humanoid() -> Run:
 
 
 def tilted_box() -> tuple[np.ndarray, np.ndarray]:
-    """Return 16 corners of a box, and where it is dropped."""
+    """Return 16 corners of a box, and its initial configuration."""
     turn = 2.0 * np.pi * np.arange(16) / 16
     corners = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.full(16, -0.1)])
     tilt = pin.Quaternion(pin.utils.rotate("x", 0.2) @ pin.utils.rotate("y", 0.1)).coeffs()
@@ -162,7 +162,7 @@ def tilted_box() -> tuple[np.ndarray, np.ndarray]:
 
 
 def box() -> Run:
-    """A box with 16 corners below is dropped tilted and comes to rest, 2 s."""
+    """Return a run of 2 s of a tilted box with 16 lower corners that is dropped and comes to rest."""
     corners, q = tilted_box()
     model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2), tuple(map(tuple, corners)))
     contacts = [Contact(f"tip{k}", Plane(), friction=0.5, restitution=0.0) for k in range(16)]
@@ -175,7 +175,7 @@ Tips = Sequence[tuple[str, tuple[float, float, float]]]
 
 
 def in_mujoco(loader: str, gains: tuple[float, float]) -> mujoco.MjSpec:
-    """Return a robot with a free base for MuJoCo, its joints drawn by springs and dampers.
+    """Return a robot with a free base for MuJoCo, with joint springs and dampers.
 
     Args:
         loader: Name of its loader in example-robot-data.
@@ -197,14 +197,14 @@ def in_mujoco(loader: str, gains: tuple[float, float]) -> mujoco.MjSpec:
 def over_a_floor(
     spec: mujoco.MjSpec, q: np.ndarray, rest: np.ndarray, tips: Tips, step: float = STEP
 ) -> mujoco.MjModel:
-    """Return bodies over a floor, with spheres of 1 mm at points of theirs.
+    """Return bodies above a floor, with spheres of 1 mm at given points.
 
     Args:
         spec: The bodies.
-        q: (nq,) configuration at the start, as Pinocchio has it,
-        rest: and the one in which springs are slack.
-        tips: Names of bodies, and the points on them.
-        step: [s].
+        q: (nq,) initial configuration, in the order of Pinocchio.
+        rest: (nq,) configuration of relaxed springs.
+        tips: Names of bodies, and points on them.
+        step: Step size [s].
     """
     spec.option.timestep = step
     floor = spec.worldbody.add_geom()
@@ -219,7 +219,7 @@ def over_a_floor(
 
 
 def stepping(model: mujoco.MjModel, duration: float) -> Callable[[], None]:
-    """Return a run in MuJoCo from rest."""
+    """Return a run of MuJoCo from rest."""
     data = mujoco.MjData(model)
 
     def run() -> None:
@@ -257,7 +257,7 @@ CASES = {
 
 
 STEPS = 100
-"""Of a `Stepper` in one run."""
+"""Steps of a `Stepper` in one run."""
 
 BRANCHES = 100
 """Copies of a `Stepper` in one run."""
@@ -277,7 +277,7 @@ AGAINST = {
 
 
 def main() -> None:
-    """Take the best of a few runs of each, in turns."""
+    """Measure the shortest of a few alternating runs of each."""
     runs = {name: make() for name, (make, _) in CASES.items()}
     steps = {name: make() for name, (make, _) in STEPPED.items()}
     steps[IN_MUJOCO], steps[BRANCHED] = steps_in_mujoco(), branches()

@@ -1,4 +1,4 @@
-"""Time of an impact against Pinocchio's own algorithms, of laws, works and threads, and of the shortcuts.
+"""Run time of an impact relative to Pinocchio's algorithms; of laws, work and threads; of special cases.
 
 python -m benchmarks.speed
 """
@@ -25,7 +25,7 @@ ROBOTS = {"panda": "panda_hand_tcp", "ur5": "tool0", "talos": "gripper_left_fing
 
 
 def random_problems(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """W and v of spatial impacts."""
+    """Return W and v of random spatial impacts."""
     rng = np.random.default_rng(0)
     X = rng.standard_normal((count, 3, 7))
     velocity = rng.standard_normal((count, 3))
@@ -34,7 +34,7 @@ def random_problems(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def batch() -> list[dict]:
-    """Random spatial problems, in a batch, against one mass matrix of the Panda."""
+    """Time a batch of random spatial problems against one mass matrix of the Panda."""
     delassus, velocity = random_problems(COUNT)
     model = pinimpact.load_robot("panda").model
     data, q = model.createData(), pin.neutral(model)
@@ -49,7 +49,7 @@ def batch() -> list[dict]:
 
 
 def laws() -> list[dict]:
-    """The energetic law against Poisson's, works, and threads, on random spatial problems."""
+    """Time the energetic law against Poisson's, work, and threads, on random spatial problems."""
     count = 4000
     few, many = random_problems(count), random_problems(SHARED)
 
@@ -93,7 +93,7 @@ def laws() -> list[dict]:
 
 
 def robots() -> list[dict]:
-    """`impact` from Python against a frictionless impulse of Pinocchio, called the same way."""
+    """Time `impact` from Python against a frictionless impulse of Pinocchio, called from Python too."""
     rows = []
     for name, frame in ROBOTS.items():
         model = pinimpact.load_robot(name).model
@@ -124,7 +124,7 @@ def robots() -> list[dict]:
 
 
 def rows() -> list[dict]:
-    """`impacts` for random states of the Panda that approach, by one thread and by two."""
+    """Time `impacts` for random approaching states of the Panda, by one thread and by two."""
     model = pinimpact.load_robot("panda").model
     data = model.createData()
     contact = pinimpact.Contact(ROBOTS["panda"], pinimpact.Plane(), friction=0.4, restitution=0.5)
@@ -155,7 +155,7 @@ def rows() -> list[dict]:
 
 
 def shortcuts() -> list[dict]:
-    """Simpler problems against the general one, in batches of equal rows."""
+    """Time special cases against the general problem, in batches of equal rows."""
     W = np.array([[1.3, 0.2, 0.4], [0.2, 0.8, -0.3], [0.4, -0.3, 0.9]])
     balanced = W * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1]])
     planar = np.array([[1.3, 0, 0.4], [0, 0, 0], [0.4, 0, 0.9]])

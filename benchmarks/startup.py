@@ -1,4 +1,4 @@
-"""Time to import, and to the first impact of a process: warm and cold, without a cache, and in company.
+"""Time of the import and of first calls in a process: warm and cold, without a cache, and in parallel.
 
 python -m benchmarks.startup
 """
@@ -28,13 +28,13 @@ PANDA = (
 )
 IMPACT = f"{PANDA}; pinimpact.impact(robot.model, robot.data, q, 0 * q - 0.1, hand)"
 SCENE = f"{PANDA}; pinimpact.simulate(pinimpact.Scene(robot, [hand]), q, 0 * q, 0.01)"
-"""A flight that touches nothing; what a later touch needs is compiled all the same."""
+"""A short free flight; kernels for later contacts are compiled nevertheless."""
 TWO = SCENE.replace("[hand]", "[hand, pinimpact.Contact('panda_leftfinger', table)]")
-"""The same with two contacts, which may collide at one instant."""
+"""The same with two contacts, which may collide simultaneously."""
 
 
 def run(code: str, cache: str | None = None, package: str | None = None) -> float:
-    """Return the seconds that a new process prints; the package may be another one than this."""
+    """Run code in a new process and return the seconds that it prints; `package` replaces the package."""
     environment = dict(os.environ)
     if package is not None:
         environment["PYTHONPATH"] = package
@@ -45,7 +45,7 @@ def run(code: str, cache: str | None = None, package: str | None = None) -> floa
 
 
 def with_kernels_of_a_wheel() -> list[dict]:
-    """First runs in an empty cache with a package that has its compiled kernels, as wheels have."""
+    """Time first calls with an empty cache and a package that contains compiled kernels, like a wheel."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         package = Path(pinimpact.__file__).parent
@@ -61,7 +61,7 @@ def with_kernels_of_a_wheel() -> list[dict]:
 
 
 def measure() -> list[dict]:
-    """Import, warm, cold, unwritable, and four at once."""
+    """Time import and first calls: warm, cold, with an unwritable cache, and in four processes at once."""
     bare = min(run(FIRST.format("import pinocchio, numpy")) for _ in range(7))
     full = min(run(FIRST.format("import pinocchio, numpy, pinimpact")) for _ in range(7))
     rows = [row("import pinimpact, over pinocchio and numpy", max(full - bare, 0.0), 0.3)]

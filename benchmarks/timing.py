@@ -1,6 +1,6 @@
-"""Ratios of times taken in one run: the two sides alternate, and the best of many counts.
+"""Ratios of run times: both sides alternate in one run, and the shortest time of each is used.
 
-Where the two sides run on other cores, the median of many ratios does (`shared_rows`).
+If the two sides run on different cores, the median of many ratios is used (`shared_rows`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROUNDS = 200
 def best_of(
     calls: Mapping[str, Callable[[], Any]], rounds: int = ROUNDS, least: float = 2e-4
 ) -> dict[str, float]:
-    """Return the least seconds of each call, taken in turns so that all see the same machine."""
+    """Return the shortest time of each call [s]; calls alternate so that all run under the same load."""
     counts, best = {}, {}
     for name, call in calls.items():
         call()
@@ -45,7 +45,7 @@ def best_of(
 
 @contextlib.contextmanager
 def _on(cores: set[int]) -> Iterator[None]:
-    """Keep this process to some cores meanwhile."""
+    """Restrict this process to some cores within the context."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, cores)
     try:
@@ -61,19 +61,19 @@ def _taken(call: Callable[[int], Any], threads: int) -> float:
 
 
 def shared_rows(what: str, call: Callable[[int], Any], goal: float, rounds: int = 50) -> list[dict[str, Any]]:
-    """Time work on two cores as threads share it; each of many rounds has all ways in turn.
+    """Compare work by two threads with one thread and with two processes; each round times all of them.
 
-    One thread is timed on each core, for cores differ and drift apart, and goes at the mean of their rates.
-    Two processes that do the work side by side, at the sum of theirs, are all that two cores can do.
+    The rate of one thread is the mean of its rates on both cores, since cores differ and their rates vary.
+    The sum of the rates of two concurrent processes is the upper bound for two cores.
 
     Args:
-        what: The work,
-        call: and what does it in so many threads.
-        goal: Wanted of two threads over one.
-        rounds: How many.
+        what: Name of the work.
+        call: Function that does the work with the given number of threads.
+        goal: Ratio wanted of two threads over one.
+        rounds: Number of rounds.
 
     Returns:
-        lines with the medians of the ratios, and between which the middle half of them lies.
+        Lines with medians and quartiles of the ratios.
     """
     cores = sorted(os.sched_getaffinity(0))[:2]
     here, there = multiprocessing.Pipe()
@@ -111,10 +111,7 @@ def shared_rows(what: str, call: Callable[[int], Any], goal: float, rounds: int 
 def row(
     what: str, seconds: float, goal: float | None = None, against: str = "", reference: float = 1.0
 ) -> dict[str, Any]:
-    """Return one line of a result: a time, its ratio to a reference of the same run, and the ratio wanted.
-
-    Without a reference the ratio is to one second.
-    """
+    """Return one line of a result: a time, its ratio to a reference (default 1 s), and the ratio wanted."""
     return {
         "what": what,
         "seconds": seconds,
@@ -126,7 +123,7 @@ def row(
 
 
 def publish(name: str, rows: list[dict[str, Any]]) -> None:
-    """Print rows as a table and keep both."""
+    """Print rows as a table and save both."""
     lines = []
     for r in rows:
         line = f"{r['what']:<44}{duration(r['seconds']):>10}"
@@ -141,7 +138,7 @@ def publish(name: str, rows: list[dict[str, Any]]) -> None:
 
 
 def keep(name: str, table: str, figures: Mapping[str, Any]) -> None:
-    """Print a table, and keep it and its figures, with versions and machine, in docs/figures."""
+    """Print a table, and save it with its figures, versions and machine in docs/figures."""
     print(table, end="")
     FIGURES.mkdir(parents=True, exist_ok=True)
     (FIGURES / f"{name}.txt").write_text(table, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Whether a trajectory obeys Coulomb's law between its samples, seen from its states and forces alone."""
+"""Check Coulomb's law between the samples of a trajectory, from its states and forces alone."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pinimpact.geometry.surfaces import contact_axes
 TIMES = 60
 
 SHORT = 1e-9
-"""Time [s] so short that forces on the way to infinity, before a jam, may be past it."""
+"""Duration [s] below which modes are not checked: forces may become unbounded within it, before a jam."""
 
 
-def unlawful(scene: Scene, trajectory: Trajectory, rtol: float, seed: int) -> str:
-    """Return what of a run breaks Coulomb's law at times drawn at random, or nothing.
+def law_violation(scene: Scene, trajectory: Trajectory, rtol: float, seed: int) -> str:
+    """Return a violation of Coulomb's law at random times, or an empty string.
 
-    Contacts are frames over planes at rest: none sinks in; none pulls; none pushes from afar; friction keeps
-    to its cone, and where a contact slips it is opposite to the slip. Forces are not looked at while some
-    slip is so slow that the tolerance leaves its direction open. A contact that slips faster loses no
-    velocity at an instant without an impact at which nothing closes.
+    Contacts must be frames above planes at rest. Checked are: no penetration, normal forces ≥ 0, zero forces
+    of open contacts, friction within its cone and opposite to slip. Forces are not checked while some slip
+    is so slow that its direction is undetermined within the tolerance. Slip may lose velocity only
+    at impacts or when contacts close.
     """
     rng = np.random.default_rng(seed)
     model, data = scene.model, scene.model.createData()
@@ -50,7 +50,7 @@ def unlawful(scene: Scene, trajectory: Trajectory, rtol: float, seed: int) -> st
             velocity = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
             speeds.append((contact_axes(contact.plane.normal) @ velocity)[:2])
             vague |= contact.label in slips and np.linalg.norm(speeds[-1]) < error
-        # forces are found together, so the tolerance leaves the largest of them open
+        # the error of all forces is relative to the largest one
         near = (1e-7 + 10.0 * rtol) * (weight + max(np.abs(force[k]).max() for force in forces.values()))
         for contact, gap, slip in zip(scene.contacts, gaps, speeds, strict=True):
             *tangent, push = contact_axes(contact.plane.normal) @ forces[contact.label][k]
@@ -68,24 +68,24 @@ def unlawful(scene: Scene, trajectory: Trajectory, rtol: float, seed: int) -> st
                 return (
                     f"{where} has friction of {np.linalg.norm(tangent):.6g} N where {most:.6g} N is the most"
                 )
-            if push > near and size > slow + error and not crossed:  # forces of a time step are its mean
+            if push > near and size > slow + error and not crossed:  # forces of time steps are means
                 missed = np.linalg.norm(tangent + most * slip / size)
                 if missed > near + most * error / size:
                     return (
                         f"{where} slips at {size:.3g} m/s with friction off by {missed:.3g} N of {most:.3g} N"
                     )
-    return lost(scene, trajectory, rtol)
+    return unexplained_velocity_loss(scene, trajectory, rtol)
 
 
-def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
-    """Return which contact that slips loses velocity at an instant without an impact, or nothing."""
+def unexplained_velocity_loss(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
+    """Return a sliding contact that loses velocity at a time without an impact, or an empty string."""
     model, data = scene.model, scene.model.createData()
     struck = {impact.time for impact in trajectory.impacts}
     t, v = trajectory.t, trajectory.v
     for k in np.flatnonzero((t[1:] == t[:-1]) & (v[1:] != v[:-1]).any(axis=1)):
         began = [m for m in trajectory.modes if m.start == t[k]]
         crossed = any(one.start <= t[k] <= one.end for one in trajectory.stepped)
-        twice = np.count_nonzero(t == t[k]) > 2  # modes that began and ended there are in no list
+        twice = np.count_nonzero(t == t[k]) > 2  # modes of zero duration are not recorded
         if (
             crossed
             or twice
@@ -95,14 +95,14 @@ def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
             continue
         slips = {m.source for m in trajectory.modes if m.mode == "slip" and m.start < t[k] <= m.end}
         pin.computeJointJacobians(model, data, trajectory.q[k])
-        start = max(np.searchsorted(t, t[k]) - 1, 0)  # of the step before: its error may be that of its start
-        off = 1e-2 * rtol + rtol * np.abs(v[start : k + 1]).max()  # each velocity, by the step's tolerances
+        start = max(np.searchsorted(t, t[k]) - 1, 0)  # start of the previous step, where its error may arise
+        tolerance = 1e-2 * rtol + rtol * np.abs(v[start : k + 1]).max()  # of each velocity in the step
         for contact in scene.contacts:
             if contact.label in slips:
                 jacobian = pin.getFrameJacobian(
                     model, data, model.getFrameId(contact.frame), pin.LOCAL_WORLD_ALIGNED
                 )[:3]
-                error = 30.0 * off * np.linalg.norm(np.abs(jacobian).sum(axis=1))  # of thirty such steps
+                error = 30.0 * tolerance * np.linalg.norm(np.abs(jacobian).sum(axis=1))  # of thirty steps
                 before, change = np.linalg.norm(jacobian @ v[k]), np.linalg.norm(jacobian @ (v[k + 1] - v[k]))
                 if before > error and change > error:
                     return f"{contact.label} at {t[k]:.9g} s loses {change:.3g} of {before:.3g} m/s, unstruck"

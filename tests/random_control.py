@@ -10,7 +10,7 @@ import pinocchio as pin
 from pinimpact import Contact, JointPD, Scene, Trajectory, load_robot
 from pinimpact.scene.records import SteppedInterval
 
-from .random_scenes import plane_below, unaccounted
+from .random_scenes import plane_below, relative_energy_residual
 
 DURATION = 1.0
 FEET = ("left_sole_link", "right_sole_link")
@@ -121,7 +121,7 @@ def _ends(t: np.ndarray, interval: SteppedInterval) -> tuple[int, int]:
     return int(np.searchsorted(t, interval.start)), int(np.searchsorted(t, interval.end, side="right")) - 1
 
 
-def wrong_in(trajectory: Trajectory, rtol: float) -> str:
+def violation_in(trajectory: Trajectory, rtol: float) -> str:
     """Return what cannot be right of a run, or nothing.
 
     Friction of joints and contacts takes energy away, as far as the tolerance lets one see it, for no surface
@@ -139,5 +139,5 @@ def wrong_in(trajectory: Trajectory, rtol: float) -> str:
         gained = float(np.diff(work, prepend=0.0)[located].max(initial=0.0)) / size
         if gained > 10.0 * rtol:
             return f"the {name} gain {gained:.2g} of the energy by friction"
-    missing = unaccounted(trajectory)
+    missing = relative_energy_residual(trajectory)
     return f"{missing:.2g} of the energy unaccounted for" if missing > 1e4 * rtol else ""

@@ -1,4 +1,4 @@
-"""Robots dropped at random onto planes, without control, and the energy that a run does not account for."""
+"""Robots dropped at random onto planes, without control, and the energy residual of a run."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def plane_below(rng, model, q, tips, tilts, depth) -> Plane:
         model: The robot.
         q: Its configuration.
         tips: Names of the frames.
-        tilts: How often the plane is tilted, and by how much.
-        depth: Draws the distance [m].
+        tilts: Probability of a tilt, and its size.
+        depth: Function that draws the distance [m].
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
@@ -58,7 +58,7 @@ def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     return name, scene, q, v, float(10 ** rng.uniform(-8, -3))
 
 
-def unaccounted(trajectory: Trajectory) -> float:
-    """Return the energy that no work accounts for, over the largest kinetic energy."""
+def relative_energy_residual(trajectory: Trajectory) -> float:
+    """Return the largest energy residual relative to the largest kinetic energy plus 1 J."""
     energy = trajectory.energy
     return float(np.abs(energy.residual).max() / (energy.kinetic.max() + 1.0))

@@ -1,4 +1,4 @@
-"""Slip, loads and events that are faint beside all else: none is dropped, none is made up."""
+"""Motions with slip, loads or events near the tolerance: none may be missed, and none invented."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 
 from . import random_control, random_scenes
-from .lawful import lost, unlawful
+from .lawful import law_violation, unexplained_velocity_loss
 from .scene_models import G, free_body, run, unbounded
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
-"""Some of these motions have impacts at bounds; what is checked here holds for them too."""
+"""Some impacts reach a bound of the solver, which does not affect these checks."""
 
 
 @pytest.mark.parametrize("speed", [3e-7, 1e-5])
-def test_a_frictionless_slider_never_stops(speed):
-    """Slower than what may stick: without friction nothing does, however often modes are set anew."""
+def test_frictionless_slider_never_stops(speed):
+    """Below the sticking speed, too, a contact without friction keeps sliding at each selection of modes."""
     model = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(0.0, 0.0, 0.0)])
     scene = Scene(model, [Contact("tip0", Plane(), friction=0.0)])
     q0 = pin.neutral(model)
@@ -30,7 +30,7 @@ def test_a_frictionless_slider_never_stops(speed):
 
 
 def stretched_leg(bend):
-    """A hanging leg of two rods, its foot on the floor and its knee bent by little, and a finger of 10 g."""
+    """Return a hanging leg with its foot on the floor and a slightly bent knee, and a finger of 10 g."""
     model = pin.Model()
     hip = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hip")
     rod = pin.Inertia(0.5, np.array([0.0, 0.0, -0.25]), 0.01 * np.eye(3))
@@ -47,8 +47,8 @@ def stretched_leg(bend):
 
 
 @pytest.mark.parametrize("bend", [1e-3, 1e-4, 2e-5, 1e-5])
-def test_a_leg_that_its_bent_knee_holds_bears_what_statics_says(bend):
-    """A motor stretches the knee: the foot is pressed down with 10⁵ N, beside a finger on its stop."""
+def test_forces_of_nearly_stretched_leg_agree_with_statics(bend):
+    """A motor stretches the knee and presses the foot down with 10⁵ N; the finger rests on its limit."""
     model, q = stretched_leg(bend)
     floor = Plane(point=(0.0, 0.0, -np.cos(0.5 * bend)))
     torque = np.array([0.0, -1.0, 0.0])
@@ -71,8 +71,8 @@ def test_a_leg_that_its_bent_knee_holds_bears_what_statics_says(bend):
         assert found[[0, 2]] == pytest.approx(force, rel=1e-4)
 
 
-def test_forces_that_leave_their_bounds_only_by_the_error_of_a_step_end_no_motion():
-    """A foot begins to slip from rest; its direction is off at the start of a long step, not in a shorter."""
+def test_force_margin_within_step_error_does_not_end_motion():
+    """A foot begins to slip from rest; its direction is inaccurate in a long step, but not in a short one."""
     _, scene, q, v, rtol = random_scenes.draw(100000001001437)
     times = []
 
@@ -97,38 +97,36 @@ SELDOM_LOST = [
     [(101000001000931, 0.64), (111000026, 0.1525), (151000823, 0.43)]
     + [pytest.param(seed, duration, marks=pytest.mark.exhaustive) for seed, duration in SELDOM_LOST],
 )
-def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration):
-    """What began fast and has become slow; what goes on slipping while others begin to.
+def test_slow_slip_above_step_error_is_kept(seed, duration):
+    """Recorded cases: slip that has become slow, and slip that continues while other contacts begin to slip.
 
-    And what slips beside a foot that parts, which forces seem to stop until slip has turned; beside an elbow
-    that creeps as contacts have it, a joint stop that parts, joints whose modes do not settle, corners of the
-    same sole that are slower or hold each other back, a corner that touches and does not stay, and one that
-    jams however slow it is.
+    Also slip beside a foot that separates; a slowly moving elbow; a joint limit that releases; joints whose
+    modes do not settle; slower corners of the same sole; a corner that touches briefly; a jamming corner.
     """
     drawn = random_control.draw(seed)
     tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, duration, **tolerances)
-    assert lost(drawn.scene, trajectory, drawn.rtol) == ""
+    assert unexplained_velocity_loss(drawn.scene, trajectory, drawn.rtol) == ""
 
 
 @pytest.mark.exhaustive
-def test_forces_that_only_just_fit_at_the_start_of_a_motion_give_way_to_others():
-    """Two soles share their loads; of least norm a corner's friction was too much a little later."""
+def test_non_unique_forces_near_their_bounds_are_replaced():
+    """The loads of two soles are not unique; soon the solution of least norm violates a friction cone."""
     drawn = random_control.draw(101000001001656)
     tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, 1.0, **tolerances)
-    assert not unlawful(drawn.scene, trajectory, drawn.rtol, 1)
+    assert not law_violation(drawn.scene, trajectory, drawn.rtol, 1)
 
 
 @pytest.mark.exhaustive
-def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
-    """As a tip sticks, the angles of a URDF, written with seven digits, move the elbow by 10⁻⁷ rad/s.
+def test_dry_friction_of_joint_moved_by_rounding_errors_only():
+    """A tip sticks, and seven-digit angles of the URDF move the elbow by 10⁻⁷ rad/s.
 
-    The elbow holds that tip against the floor. Taken to slide upwards, it would let it slip.
+    The elbow presses the tip onto the floor; with friction for upward motion the tip would slip.
     """
     drawn = random_control.draw(131000797)
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, 1.0, rtol=drawn.rtol, atol=1e-2 * drawn.rtol)
-    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+    assert law_violation(drawn.scene, trajectory, drawn.rtol, 1) == ""
     finer = simulate(drawn.scene, drawn.q, drawn.v, 1.0, rtol=1e-10, atol=1e-12)
     assert trajectory.q[-1] == pytest.approx(finer.q[-1], abs=10 * drawn.rtol)
 
@@ -138,9 +136,9 @@ DRY = 2.0
 
 
 def carriage_along_a_rod(lean, friction, aside=0.0):
-    """A carriage on rails x, y, z and a rod through it whose tip is on the floor, aside by `lean`; the start.
+    """Return a scene and start of a carriage on rails x, y, z and a rod through it with its tip on the floor.
 
-    Its rail x has dry friction. A motor along the rod turns it back after half a second.
+    The tip is displaced by `lean`. Rail x has dry friction. A motor along the rod reverses after 0.5 s.
     """
     model, parent = pin.Model(), 0
     along = pin.JointModelPrismaticUnaligned(np.array([np.sin(lean), np.cos(lean), 0.0]))
@@ -160,11 +158,8 @@ def carriage_along_a_rod(lean, friction, aside=0.0):
     return scene, np.array([SPEED * np.sin(lean) + aside, SPEED * np.cos(lean), 0.0, -SPEED])
 
 
-def test_a_joint_that_a_tip_at_rest_carries_along_rubs_as_it_moves():
-    """The rod leans by one part in 10⁷, and its tip has to overcome the friction of rail x.
-
-    To one side until the carriage turns back.
-    """
+def test_dry_friction_of_joint_dragged_by_sticking_tip():
+    """The rod leans by 10⁻⁷; its tip moves rail x against friction until the carriage reverses."""
     lean = 1e-7
     scene, v = carriage_along_a_rod(lean, 0.5)
     trajectory = simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10)
@@ -177,8 +172,8 @@ def test_a_joint_that_a_tip_at_rest_carries_along_rubs_as_it_moves():
 
 
 @pytest.mark.parametrize("lean", [1e-4, 1e-5, 1e-6])
-def test_a_tip_that_a_joint_at_rest_carries_along_rubs_as_it_moves(lean):
-    """The tip cannot move rail x, and slips aside by `lean` of the rod's motion, until that turns back."""
+def test_friction_of_tip_dragged_by_joint_at_rest(lean):
+    """The tip cannot move rail x, and slips sideways by `lean` times the rod's motion until it reverses."""
     scene, v = carriage_along_a_rod(lean, 0.15, aside=0.01)
     trajectory = simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10)
     times = np.array([0.1, 0.2, 0.45, 0.55, 0.8])
@@ -188,7 +183,7 @@ def test_a_tip_that_a_joint_at_rest_carries_along_rubs_as_it_moves(lean):
     assert aside == pytest.approx(left * np.sign(0.5 - times), rel=1e-3 * lean / 1e-4)
 
 
-def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
+def test_modes_of_very_slow_tip_and_joint_at_rest_settle():
     scene, v = carriage_along_a_rod(1e-7, 0.15, aside=0.01)
     assert simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10).complete
 
@@ -222,7 +217,7 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         pytest.param(216000018, 0.503, marks=pytest.mark.exhaustive),
     ],
 )
-def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duration):
+def test_nearly_equal_modes_are_not_selected_repeatedly(seed, duration):
     drawn = random_control.draw(seed)
     times = []
 
@@ -234,14 +229,14 @@ def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duratio
         drawn.scene, drawn.q, drawn.v, duration, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch
     )
     assert trajectory.complete
-    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+    assert law_violation(drawn.scene, trajectory, drawn.rtol, 1) == ""
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
-def test_a_stop_that_opens_leaves_the_slip_that_begins_with_it():
-    """Of shared loads the last that fits is at two bounds: a stop lets go as a contact begins to slip.
+def test_slip_that_begins_as_joint_limit_releases_continues():
+    """The last admissible load distribution has two bounds: a limit releases as a contact begins to slip.
 
-    Time steps cross that instant: the stop, which does not press, would be left and taken again for ever.
+    Time steps cross this event, at which the unloaded limit would leave and enter the active set repeatedly.
     """
     _, scene, q, v, rtol = random_scenes.draw(201000584)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
@@ -251,18 +246,18 @@ def test_a_stop_that_opens_leaves_the_slip_that_begins_with_it():
 
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize("seed", [205000540, 227000657])
-def test_a_step_across_a_pole_of_the_forces_is_not_believed(seed):
-    """A foot slips beside one that turns its slip: in a longer step both seem to jam, or friction drives."""
+def test_step_across_singularity_of_forces_is_rejected(seed):
+    """A foot slides while the slip of another changes direction: in a long step both would seem to jam."""
     _, scene, q, v, rtol = random_scenes.draw(seed)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
-    assert random_control.wrong_in(trajectory, rtol) == ""
+    assert random_control.violation_in(trajectory, rtol) == ""
 
 
-def test_a_contact_that_bears_nothing_holds_nothing():
-    """The other joints bear the arm by dry friction; the first begins to turn, and its tip with it."""
+def test_unloaded_contact_does_not_hold():
+    """Dry friction of the other joints supports the arm; the first joint begins to move with the tip."""
     drawn = random_control.draw(176000622)
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, 0.91, rtol=drawn.rtol, atol=1e-2 * drawn.rtol)
-    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+    assert law_violation(drawn.scene, trajectory, drawn.rtol, 1) == ""
 
 
 ON_A_CORNER = """
@@ -286,11 +281,11 @@ TURNING = """
 -2.2436093914794564e-29 -8.272034808360399e-30 0.0001726533536401412 4.299437791288634e-30
 1.478258603675187e-29 3.89621212005054e-29 6.67787565096329e-31 -1.2819238768512713e-30
 """
-"""Configuration and velocity of seed 10000103 where one of its soles begins to turn about a corner."""
+"""Configuration and velocity of seed 10000103 when a sole begins to rotate about a corner."""
 
 
-def test_slip_that_begins_aside_of_its_friction_sets_no_joint_in_motion():
-    """Of the ways to share a load one lets a corner slip aside, and a joint move that another holds."""
+def test_non_unique_incipient_slip_does_not_move_held_joint():
+    """Some load distributions would let a corner slip sideways and move a joint that others hold."""
     drawn = random_control.draw(10000103)
     q, v = (np.array([float(x) for x in text.split()]) for text in (ON_A_CORNER, TURNING))
     times = []
@@ -301,14 +296,14 @@ def test_slip_that_begins_aside_of_its_friction_sets_no_joint_in_motion():
 
     trajectory = simulate(drawn.scene, q, v, 1e-3, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch)
     assert trajectory.complete
-    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+    assert law_violation(drawn.scene, trajectory, drawn.rtol, 1) == ""
 
 
-def test_a_stretched_leg_that_sinks_by_the_error_of_steps_takes_part_in_an_impact():
-    """An arm on the shank of a leg whose foot sticks on a slope hits its stop.
+def test_stretched_leg_with_velocity_error_in_an_impact():
+    """An arm on the shank of a leg hits its joint limit, while the foot of the leg sticks on a slope.
 
-    Nothing moves the foot along the leg, so no impulse ends the 5·10⁻¹⁰ m/s of error at which it sinks.
-    Friction holds it across the leg, and the motion is that of the leg with this row and that of the stop.
+    The foot cannot move along the stretched leg, so no impulse removes its velocity error of 5·10⁻¹⁰ m/s.
+    Compare with the leg with two bilateral rows: friction across the leg, and the limit.
     """
     model, bend = pin.Model(), 1e-9
     end = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))

@@ -1,4 +1,4 @@
-"""Forces along a motion: closed forms, and the momentum that they have to account for."""
+"""Forces along a motion, against closed forms and the balance of momentum."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .scene_models import UP, G, ball, free_body, pendulum, slider
 
 
 def slope(angle):
-    """A plane through the origin that falls towards x."""
+    """Return a plane through the origin that descends towards x."""
     return Plane(normal=(np.sin(angle), 0.0, np.cos(angle)))
 
 
 def along(angle):
-    """The direction in which it falls."""
+    """Return the direction of descent."""
     return np.array([np.cos(angle), 0.0, -np.sin(angle)])
 
 
 @pytest.mark.parametrize("friction", [0.9, 0.2])
-def test_a_mass_on_a_slope(friction):
+def test_forces_of_point_mass_on_slope(friction):
     angle, mass = 0.5, 3.0
     plane = slope(angle)
     scene = Scene(slider(mass), [Contact("point", plane, name="foot", friction=friction)])
@@ -44,8 +44,8 @@ def test_a_mass_on_a_slope(friction):
     assert trajectory.forces_unique(times).all()
 
 
-def test_a_ball_that_rolls_down_a_slope():
-    """Friction of a uniform ball is two sevenths of what draws it down."""
+def test_forces_of_ball_rolling_down_slope():
+    """Friction on a uniform ball is 2/7 of its weight along the slope."""
     angle, mass, radius = 0.4, 2.0, 0.1
     plane = slope(angle)
     start = radius * np.array(plane.normal)
@@ -55,17 +55,15 @@ def test_a_ball_that_rolls_down_a_slope():
     times = np.linspace(0.05, 1.0, 7)
     assert np.abs(trajectory.forces_world("ball", times) - expected).max() <= 1e-8
     position = trajectory.sample(times)[0][:, :3] - radius * np.array(plane.normal)
-    assert (
-        np.abs(trajectory.center_of_pressure(["ball"], times) - position).max() <= 1e-9
-    )  # as far as it drifts
+    assert np.abs(trajectory.center_of_pressure(["ball"], times) - position).max() <= 1e-9  # constraint drift
 
 
-def test_a_pendulum_on_a_stop_and_one_that_dry_friction_holds():
+def test_forces_of_joint_limit_and_dry_friction():
     model = pendulum(2.0, 0.5)
     model.upperPositionLimit[0] = 0.7
     trajectory = simulate(Scene(model), [0.7], [0.0], 0.2, max_step=0.1)
     assert trajectory.joint_forces(0.1).shape == (1,)
-    # gravity draws it away from the stop, until its sign is turned
+    # gravity pulls the joint away from its limit until the sign of gravity changes
     model.gravity.linear = np.array([0.0, 0.0, G])
     trajectory = simulate(Scene(model), [0.7], [0.0], 0.2)
     torque = 2.0 * G * 0.5 * np.sin(0.7)
@@ -81,7 +79,7 @@ def test_a_pendulum_on_a_stop_and_one_that_dry_friction_holds():
     assert sliding.joint_forces(0.1)[0] == pytest.approx(3.0, abs=1e-12)  # it falls back: v < 0
 
 
-def test_a_tripod_carries_its_weight_where_its_center_is():
+def test_normal_forces_of_tripod_agree_with_statics():
     feet = [(0.3, 0.0, -0.2), (-0.2, 0.25, -0.2), (-0.15, -0.3, -0.2)]
     model = free_body(pin.Inertia(4.0, np.array([0.02, 0.01, 0.05]), 0.1 * np.eye(3)), feet)
     names = [f"tip{k}" for k in range(3)]
@@ -93,13 +91,13 @@ def test_a_tripod_carries_its_weight_where_its_center_is():
     points = np.array(feet)[:, :2]
     weights = np.linalg.solve(np.column_stack([points, np.ones(3)]).T, [0.02, 0.01, 1.0])
     assert np.abs(forces[:, 2] - 4.0 * G * weights).max() <= 1e-8
-    assert not trajectory.forces_unique(0.2)  # but what the feet could push sideways does not
+    assert not trajectory.forces_unique(0.2)  # but sideways forces do not
     center = trajectory.center_of_pressure(names, 0.2)
     assert np.abs(center - [0.02, 0.01, 0.0]).max() <= 1e-9
 
 
 def landing(rtol):
-    """A quadruped that drops onto its feet with a sideways speed, slips and sticks, and its dry joints."""
+    """Return the motion of a quadruped with dry joints that lands with a sideways speed, slips and sticks."""
     model = MODELS["solo12"].copy()
     q = pin.neutral(model)
     q[7:] = np.tile([0.1, 0.7, -1.4], 4)
@@ -116,14 +114,14 @@ def landing(rtol):
 
 
 def momentum(model, data, q, v):
-    """Linear momentum, and the angular one about the world's origin."""
+    """Return linear momentum, and angular momentum about the origin of the world."""
     pin.computeCentroidalMomentum(model, data, q, v)
     linear, angular = data.hg.linear.copy(), data.hg.angular.copy()
     return np.array([*linear, *(angular + np.cross(data.com[0], linear))])
 
 
-def test_forces_account_for_the_momentum_of_a_landing():
-    """Over each step, by Gauss' rule; over the whole motion, slip, stick and lifting feet."""
+def test_forces_of_landing_satisfy_momentum_balance():
+    """Integrate the forces by Gauss quadrature over each step of a motion with slip, stick and lift-off."""
     model, feet, trajectory = landing(1e-10)
     data = model.createData()
     x, weights = np.polynomial.legendre.leggauss(8)
@@ -153,7 +151,7 @@ def test_forces_account_for_the_momentum_of_a_landing():
     assert worst <= 1e-9
 
 
-def test_forces_keep_to_coulombs_law_along_a_landing():
+def test_forces_of_landing_satisfy_coulombs_law():
     _, feet, trajectory = landing(1e-8)
     for time in np.linspace(0.0, trajectory.t[-1], 400):
         for foot in feet:
@@ -172,8 +170,8 @@ def test_forces_keep_to_coulombs_law_along_a_landing():
 
 @pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
 @pytest.mark.parametrize("seed", range(1000020, 1000040))
-def test_no_force_pulls_or_leaves_its_cone_and_friction_takes(seed):
-    """At random times of robots that flop about, also where the motion does not determine the forces."""
+def test_forces_of_random_motions_satisfy_coulombs_law(seed):
+    """Check random times of uncontrolled robots, also where forces are not unique."""
     _, scene, q, v, rtol = draw(seed)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     times = np.random.default_rng(seed).uniform(0.0, 1.0, 50)
@@ -206,7 +204,7 @@ def test_forces_are_saved_and_pickled(tmp_path):
         assert (copy.forces_unique(times) == trajectory.forces_unique(times)).all()
 
 
-def test_what_cannot_be_asked_is_told():
+def test_invalid_requests_of_forces_raise():
     scene = Scene(slider(), [Contact("point", Plane(), name="foot", friction=0.5)])
     trajectory = simulate(scene, np.zeros(3), np.zeros(3), 0.1)
     with pytest.raises(pinimpact.UnknownNameError, match=r"no contact is called 'fot'.*'foot'"):
@@ -224,7 +222,7 @@ def test_what_cannot_be_asked_is_told():
     assert trajectory.forces("foot", []).shape[0] == 0
 
 
-def test_a_contact_in_flight_has_no_force():
+def test_open_contact_has_zero_force():
     scene = Scene(slider(), [Contact("point", Plane(), name="foot", restitution=0.5)])
     trajectory = simulate(scene, [0.0, 0.0, 1.0], np.zeros(3), 0.3)
     assert not trajectory.forces("foot", [0.0, 0.1, 0.3]).any()
@@ -232,8 +230,8 @@ def test_a_contact_in_flight_has_no_force():
     assert not trajectory.joint_forces(0.1).any()
 
 
-def test_forces_nearest_to_known_ones_let_go_of_what_would_pull():
-    """Of the forces on the corners of a sliding plate nothing but their sums is known."""
+def test_forces_nearest_to_known_ones_are_not_adhesive():
+    """Only the resultant of the forces on the corners of a sliding plate is unique."""
     corners = [(x, y, 0.0) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
     plate = free_body(pin.Inertia(2.0, np.zeros(3), np.diag([0.03, 0.05, 0.08])), corners)
     contacts = [Contact(f"tip{k}", Plane(), friction=0.1) for k in range(4)]

@@ -1,4 +1,4 @@
-"""Motions that friction holds, against closed forms: rest, the onset of slip, reversal, and rest again."""
+"""Sticking, incipient slip, reversal and return to rest, against closed forms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .stick_slip import Swing, stick_slip
 @pytest.mark.parametrize(
     ("a", "b", "t_c"), [(0.1, 1.0, 10.0), (0.1, 1.0, 5.0), (0.02, 0.3, 8.0), (1.0, 2.0, 4.0)]
 )
-def test_dry_friction_holds_between_two_crossings_and_lets_go_gently(a, b, t_c, rtol):
+def test_dry_friction_holds_then_releases_continuously(a, b, t_c, rtol):
     k = 2.0 * a / b**2
     scene = Scene(rough_joint(0.5), control=lambda t, q, v: np.array([-k * (t - t_c) - 0.5]))
     start = [a - a * t_c**2 / b**2]
@@ -38,8 +38,8 @@ def test_dry_friction_holds_between_two_crossings_and_lets_go_gently(a, b, t_c, 
     assert stuck.end == pytest.approx(t_c, abs=1e-8)
 
 
-def test_a_tip_that_comes_to_stick_sets_a_dry_joint_in_motion():
-    """The joint is pushed forwards, but turns backwards until its dry friction and the push stop it."""
+def test_sticking_tip_sets_dry_joint_in_motion():
+    """The joint is pushed forwards, but moves backwards until dry friction and the push stop it."""
     model, parent = pin.Model(), 0
     for kind in (pin.JointModelPZ(), pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ()):
         parent = model.addJoint(parent, kind, pin.SE3.Identity(), kind.shortname())
@@ -50,10 +50,10 @@ def test_a_tip_that_comes_to_stick_sets_a_dry_joint_in_motion():
     unbounded(model)
     model.friction = np.array([0.0, 0.0, 0.0, 0.01])
     scene = Scene(model, [Contact("tip", Plane(), friction=0.5)], control=lambda t, q, v: [0, 0, 0, 0.02])
-    speed = 9e-6  # slow enough to count as rest where a motion begins
+    speed = 9e-6  # below the resting speed at the start of a motion
     trajectory = simulate(scene, np.zeros(4), [0.0, 0.0, speed, 0.0], 1e-3)
     inertia = 1e-3 + 0.1**2
-    rate = -0.1 * speed / inertia  # I ω − ℓ m v is not changed by an impulse at the tip
+    rate = -0.1 * speed / inertia  # an impulse at the tip conserves I ω − ℓ m v
     turned = -rate * inertia / (0.02 + 0.01)
     for t in (0.3 * turned, 0.9 * turned, 2.0 * turned, 1e-3):
         push = 0.03 if t < turned else 0.01
@@ -63,7 +63,7 @@ def test_a_tip_that_comes_to_stick_sets_a_dry_joint_in_motion():
 
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
-def test_a_point_that_a_swinging_force_moves_again_and_again(rtol):
+def test_stick_slip_under_oscillating_force(rtol):
     load = Swing(0.3, 10.0, 0.0, 0.25)
     x, _, slips = stick_slip(load, 0.5, 20.0)
     assert slips == 32
@@ -79,7 +79,7 @@ def test_a_point_that_a_swinging_force_moves_again_and_again(rtol):
 
 @pytest.mark.parametrize("corners", [3, 4, 8, 16])
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
-def test_a_box_on_corners_slips_when_its_cone_is_used_up(corners, rtol):
+def test_box_on_corners_slips_at_friction_limit(corners, rtol):
     model, contacts = box_on(corners)
     scene = Scene(model, contacts, control=lambda t, q, v: np.array([5.0 * t, 0, 0, 0, 0.5 * t, 0]))
     trajectory = simulate(scene, [0, 0, 0.1, 0, 0, 0, 1.0], np.zeros(6), 2.0, rtol=rtol, atol=1e-2 * rtol)
@@ -90,8 +90,8 @@ def test_a_box_on_corners_slips_when_its_cone_is_used_up(corners, rtol):
 
 @pytest.mark.parametrize("corners", [3, 4])
 @pytest.mark.parametrize("inertia", [1e-6, 1e-8])
-def test_a_box_slips_at_its_cone_whatever_else_is_pressed_against_its_stop(corners, inertia):
-    """A light finger elsewhere would be off at 5·10⁷ rad/s² without its stop, which is nothing to the box."""
+def test_friction_limit_of_box_does_not_depend_on_light_finger(corners, inertia):
+    """A light finger, uncoupled from the box, would accelerate at 5·10⁷ rad/s² without its joint limit."""
     model, contacts = box_on(corners)
     finger = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "finger")
     body = pin.Inertia(1e-3, np.zeros(3), inertia * np.eye(3))
@@ -112,8 +112,8 @@ def test_a_box_slips_at_its_cone_whatever_else_is_pressed_against_its_stop(corne
 
 
 @pytest.mark.parametrize("numbering", [(0, 1, 2, 3), (1, 3, 0, 2)])
-def test_a_box_that_turns_about_a_corner_is_not_driven_by_its_friction(numbering):
-    """Its motion depends on how four corners share its weight; not in every way does the corner move."""
+def test_friction_does_not_drive_box_rotating_about_corner(numbering):
+    """The motion depends on the load distribution of four corners; only for some of them the corner moves."""
     turn = 0.5 * math.pi * (np.arange(4) + 0.6 / math.pi)
     points = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.full(4, -0.1)])
     model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2), points)
@@ -121,7 +121,7 @@ def test_a_box_that_turns_about_a_corner_is_not_driven_by_its_friction(numbering
     tilt = pin.Quaternion(pin.exp3(np.array([-0.126657, 0.064093, 0.065197]))).coeffs()
     speed = np.array([1.058919, -0.55601, -0.188803, 1.021386, 0.323351, 0.331532])
     trajectory = simulate(scene, [0, 0, 0.4, *tilt], speed, 1.0)
-    assert trajectory.statistics["steps"] < 500  # 60,000 a tenth of a second where it is driven to and fro
+    assert trajectory.statistics["steps"] < 500  # 60,000 per 0.1 s if it were driven back and forth
     assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-9)
     assert np.abs(trajectory.v[-1]).max() < 1e-9
     times = trajectory.modes[-1].start + np.linspace(-0.01, 0.0, 50)
@@ -130,7 +130,7 @@ def test_a_box_that_turns_about_a_corner_is_not_driven_by_its_friction(numbering
 
 
 @pytest.mark.parametrize("corners", [3, 4])
-def test_a_box_on_corners_moves_as_a_point_does(corners):
+def test_box_on_corners_moves_like_point_mass(corners):
     load = Swing(5.5, 3.0, 0.4, 1.0)
     x, _, slips = stick_slip(load, 0.5 * G, 10.0)
     assert slips > 3
@@ -152,7 +152,7 @@ def test_two_boxes_on_a_belt(mus):
 
 
 @pytest.mark.parametrize("excess", [0.0, 1e-6, 1e-4, 2e-4, 5e-4, -1e-4])
-def test_a_box_near_the_friction_angle(excess):
+def test_box_near_friction_angle(excess):
     slope = math.atan(0.546)
     mu = math.tan(slope) * (1.0 + excess)
     scene, q0 = box_on_a_slope(slope, mu, 0.1)
@@ -164,8 +164,8 @@ def test_a_box_near_the_friction_angle(excess):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_a_plate_tips_when_its_load_leaves_its_corners_whatever_happens_before(friction):
-    """Where the load comes near an edge, forces of least norm leave one corner without any before it tips."""
+def test_plate_tips_when_load_leaves_its_support(friction):
+    """With the load near an edge, forces of least norm unload one corner before the plate tips."""
     half, width, mass, side = 0.3, 0.2, 2.0, 0.5
     corners = [(x, y, 0.0) for x in (-half, half) for y in (-width, width)]
     plate = free_body(pin.Inertia(mass, np.array([0.0, 0.0, 0.02]), np.diag([0.03, 0.05, 0.08])), corners)
@@ -185,8 +185,8 @@ def test_a_plate_tips_when_its_load_leaves_its_corners_whatever_happens_before(f
     assert min(trajectory.forces(f"tip{k} on plane", times)[:, 2].min() for k in range(4)) > -1e-6
 
 
-def test_stop_and_dry_friction_hold_a_joint_as_one():
-    """What holds it is their sum, which the load determines; it leaves where that pulls more than it."""
+def test_limit_and_dry_friction_hold_joint_together():
+    """The load determines the sum of both forces; the joint leaves when this exceeds its dry friction."""
     model = rough_joint(0.5)
     model.lowerPositionLimit, model.upperPositionLimit = np.array([0.0]), np.array([10.0])
     scene = Scene(model, control=lambda t, q, v: np.array([2.0 * t - 2.0]))
@@ -197,7 +197,7 @@ def test_stop_and_dry_friction_hold_a_joint_as_one():
     np.testing.assert_allclose(trajectory.joint_forces([0.3, 1.2])[:, 0], [1.4, -0.4], atol=1e-12)
 
 
-def test_slow_slip_goes_on_while_many_joints_come_to_rest():
+def test_slow_slip_continues_while_many_joints_come_to_rest():
     model = slider(1.0)
     for k in range(12):
         index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"slide{k}")
@@ -213,8 +213,8 @@ def test_slow_slip_goes_on_while_many_joints_come_to_rest():
 
 
 @pytest.mark.parametrize("stop", [0.002, 0.003, 0.004, 0.005, 0.01])
-def test_a_slip_that_would_turn_back_and_forth_within_a_step_ends(stop):
-    """Slip along −k(t − t₁)(t − t₂) ends at t₁, and begins anew where its acceleration changes its sign."""
+def test_slip_that_reverses_twice_within_a_step_ends(stop):
+    """Slip of velocity −k(t − t₁)(t − t₂) ends at t₁, and restarts when the acceleration changes sign."""
     friction, k, back = 0.2, 10.0, 2.0 * stop
     hold = friction * G
 
@@ -230,10 +230,10 @@ def test_a_slip_that_would_turn_back_and_forth_within_a_step_ends(stop):
 
 
 @pytest.mark.parametrize("rtol", [1e-7, 1e-9])
-def test_a_slip_that_has_turned_back_ever_so_slightly_has_ended(rtol):
-    """A point that its friction brakes, less a force, in a run that ends just after it stops.
+def test_slip_with_tiny_reversal_has_ended(rtol):
+    """Friction stops a pushed point mass just before the end of the run.
 
-    The reversal is far below the speed of sticking, and beyond the error of steps.
+    A reversal would be far below the sticking speed, but above integration errors.
     """
     brake, speed, beyond = 0.01, 1e-3, 1e-6
     contact = Contact("point", Plane(), friction=0.3)
@@ -247,8 +247,8 @@ def test_a_slip_that_has_turned_back_ever_so_slightly_has_ended(rtol):
 
 @pytest.mark.parametrize("arm", [1e-7, 1e-6, 1e-5])
 @pytest.mark.parametrize("torque", [-10.0, 10.0])
-def test_a_contact_and_a_joint_that_hold_nearly_the_same_motion_rest_by_the_error_of_a_step(arm, torque):
-    """A disc turns on a joint that slides, its tip a hair's breadth below the axis; both only just rest."""
+def test_contact_and_joint_with_nearly_dependent_rows_come_to_rest(arm, torque):
+    """A disc rotates on a prismatic joint, its tip slightly below the axis; both are close to slip."""
     model, parent = pin.Model(), 0
     for name, joint in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
         parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
@@ -263,6 +263,6 @@ def test_a_contact_and_a_joint_that_hold_nearly_the_same_motion_rest_by_the_erro
         trajectory = simulate(
             scene, [0.0, arm, 0.0], [-0.3 * arm, 0.0, -0.3], 0.02, rtol=rtol, atol=1e-2 * rtol
         )
-        # but for what friction does on so short an arm
+        # up to friction times the short lever arm
         assert trajectory.v[-1, 2] == pytest.approx(-0.3 + 0.02 * torque, abs=0.2 * arm)
         assert abs(trajectory.v[-1, 0]) <= 0.3 * arm

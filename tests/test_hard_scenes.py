@@ -15,7 +15,7 @@ from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.jam_growth import growing_indentations
 from pinimpact.scene.options import Options
 
-from .random_scenes import draw, unaccounted
+from .random_scenes import draw, relative_energy_residual
 from .scene_models import UP, G, free_body, run, unbounded
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
@@ -284,7 +284,7 @@ def test_jamming_feet_dissipate_energy(seed):
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.complete
     energy = trajectory.energy
-    assert unaccounted(trajectory) < 300 * rtol
+    assert relative_energy_residual(trajectory) < 300 * rtol
     for work in (energy.friction, energy.impacts):
         assert np.diff(work).max() < 100 * rtol * (energy.kinetic.max() + 1.0)
 
@@ -306,7 +306,7 @@ def test_randomly_dropped_robots_satisfy_energy_balance(seed):
     _, scene, q, v, rtol = draw(seed)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.complete
-    assert unaccounted(trajectory) < 300 * rtol
+    assert relative_energy_residual(trajectory) < 300 * rtol
     assert trajectory.statistics["steps"] < 5000
 
 

@@ -11,7 +11,7 @@ import pytest
 from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.scene.records import ModeInterval
 
-from .lawful import lost, unlawful
+from .lawful import law_violation, unexplained_velocity_loss
 from .random_scenes import draw
 from .scene_models import slider
 
@@ -20,30 +20,30 @@ RTOL = 1e-7
 
 @pytest.fixture(scope="module")
 def sliding():
-    """A point mass that is pulled across its slip, so that this turns and ends."""
+    """Return a scene and motion of a sliding point mass that is pulled sideways until slip ends."""
     scene = Scene(slider(2.0), [Contact("point", Plane(), friction=0.4)], control=lambda t, q, v: [0, 3, 0])
     return scene, simulate(scene, np.zeros(3), [0.8, 0.0, 0.0], 0.4, rtol=RTOL, atol=1e-2 * RTOL)
 
 
-def test_a_lawful_motion_is_found_so(sliding):
-    assert unlawful(*sliding, RTOL, 1) == ""
+def test_simulated_motion_satisfies_the_law(sliding):
+    assert law_violation(*sliding, RTOL, 1) == ""
 
 
 @pytest.mark.parametrize(
     ("seed", "times"),
     [
         (72000435, 1),
-        (93000132, 93000132),  # two contacts that begin to slip together, of which one shows first
+        (93000132, 93000132),  # two contacts begin to slip together, one is recorded first
     ],
 )
-def test_what_once_was_not_lawful_is(seed, times):
+def test_recorded_violations_are_fixed(seed, times):
     _, scene, q, v, rtol = draw(seed)
-    assert unlawful(scene, simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol), rtol, times) == ""
+    assert law_violation(scene, simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol), rtol, times) == ""
 
 
-@pytest.mark.parametrize(("speed", "told"), [(1.0, False), (0.01, True)])
-def test_velocity_is_known_to_the_error_of_the_step_before(sliding, speed, told):
-    """What is left of a speed that a step takes away is known no better than that speed was."""
+@pytest.mark.parametrize(("speed", "reported"), [(1.0, False), (0.01, True)])
+def test_velocity_loss_within_error_of_previous_step_is_ignored(sliding, speed, reported):
+    """The error of the velocity after a step that stops a contact is relative to the velocity before it."""
     scene, _ = sliding
     motion = SimpleNamespace(
         t=np.array([0.0, 0.1, 0.1]),
@@ -53,16 +53,16 @@ def test_velocity_is_known_to_the_error_of_the_step_before(sliding, speed, told)
         impacts=[],
         stepped=(),
     )
-    assert bool(lost(scene, motion, RTOL)) == told
+    assert bool(unexplained_velocity_loss(scene, motion, RTOL)) == reported
 
 
-def test_what_breaks_a_law_is_told(sliding):
-    """A motion is judged by a scene that is not its own."""
+def test_violations_are_reported(sliding):
+    """Check a motion against scenes with other coefficients or another plane."""
     scene, trajectory = sliding
 
     def judged(**other):
         contact = replace(scene.contacts[0], **other)
-        return unlawful(Scene(scene.model, [contact]), trajectory, RTOL, 1)
+        return law_violation(Scene(scene.model, [contact]), trajectory, RTOL, 1)
 
     assert "is the most" in judged(friction=0.39)
     assert "friction off by" in judged(friction=0.41)
@@ -70,11 +70,11 @@ def test_what_breaks_a_law_is_told(sliding):
     assert "N from 0.001 m" in judged(plane=Plane(point=(0, 0, -1e-3)))
 
 
-def test_velocity_that_is_lost_without_an_impact_is_told(sliding):
+def test_velocity_loss_without_impact_is_reported(sliding):
     scene, trajectory = sliding
     k = 1
     for name in ("t", "q"):
         rows = getattr(trajectory, name)
         object.__setattr__(trajectory, name, np.insert(rows, k, rows[k], axis=0))
     object.__setattr__(trajectory, "v", np.insert(trajectory.v, k + 1, (1 - 1e-5) * trajectory.v[k], axis=0))
-    assert "unstruck" in unlawful(scene, trajectory, RTOL, 1)
+    assert "unstruck" in law_violation(scene, trajectory, RTOL, 1)

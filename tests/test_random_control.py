@@ -6,7 +6,7 @@ import pytest
 
 from pinimpact import simulate
 
-from .random_control import DURATION, draw, wrong_in
+from .random_control import DURATION, draw, violation_in
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_modes_settle(seed):
     run = draw(seed)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
     assert trajectory.t[-1] == DURATION
-    assert wrong_in(trajectory, run.rtol) == ""
+    assert violation_in(trajectory, run.rtol) == ""
 
 
 def test_a_contact_keeps_sliding_whose_sticking_would_accelerate_a_joint_against_its_friction():
@@ -53,7 +53,7 @@ def test_no_contact_pulls_beside_a_joint_whose_dry_friction_and_stop_share_its_l
     """Forces that are not unique are within their bounds where any are, not where those of least norm are."""
     run = draw(seed)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
-    assert wrong_in(trajectory, run.rtol) == ""
+    assert violation_in(trajectory, run.rtol) == ""
 
 
 @pytest.mark.parametrize(
@@ -66,5 +66,5 @@ def test_no_contact_pulls_beside_a_joint_whose_dry_friction_and_stop_share_its_l
 def test_what_is_stiff_and_slow_takes_few_evaluations(seed, evaluations):
     run = draw(seed)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
-    assert wrong_in(trajectory, run.rtol) == ""
+    assert violation_in(trajectory, run.rtol) == ""
     assert trajectory.statistics["evaluations"] < evaluations

@@ -8,8 +8,8 @@ import pytest
 
 from pinimpact import simulate
 from tests import random_trees
-from tests.lawful import unlawful
-from tests.random_control import wrong_in
+from tests.lawful import law_violation
+from tests.random_control import violation_in
 
 SEEDS = tuple(402_000_000 + k for k in (2, 5, 6, 8, 9, 11, 12, 13))
 
@@ -19,8 +19,8 @@ def test_a_run_reaches_its_end_lawfully(seed: int) -> None:
     _, scene, q, v, rtol = random_trees.draw(seed)
     trajectory = simulate(scene, q, v, 0.5, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.t[-1] == 0.5
-    assert wrong_in(trajectory, rtol) == ""
-    assert unlawful(scene, trajectory, rtol, seed) == ""
+    assert violation_in(trajectory, rtol) == ""
+    assert law_violation(scene, trajectory, rtol, seed) == ""
 
 
 def test_all_kinds_of_joints_are_drawn_and_mass_matrices_are_right() -> None:

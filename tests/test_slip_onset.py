@@ -1,4 +1,4 @@
-"""Slip that begins from rest, where its direction settles infinitely fast."""
+"""Incipient slip, whose direction adapts infinitely fast (stiff equations)."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ START = MU * MASS * G / SWELL
 
 
 def turning(t, q=None, v=None):
-    """A horizontal force that swells and turns."""
+    """Return a horizontal force of increasing size and rotating direction."""
     return SWELL * t * np.array([np.cos(TURN * t), np.sin(TURN * t), 0.0])
 
 
 def reference(end):
-    """Return position and velocity of a point mass under `turning`, by an implicit method of SciPy's."""
+    """Return position and velocity of a point mass under `turning`, by an implicit method of SciPy."""
 
     def rates(t, y):
         return np.concatenate([y[2:], turning(t)[:2] / MASS - MU * G * y[2:] / np.linalg.norm(y[2:])])
 
-    begun = 1e-4  # later than this the first moments are forgotten
+    begun = 1e-4  # the solution does not depend on the state before this time
     v = 0.5 * SWELL / MASS * begun**2 * turning(START + 0.5 * begun)[:2] / np.linalg.norm(turning(START))
     solution = solve_ivp(rates, (START + begun, end), [0.0, 0.0, *v], method="Radau", rtol=1e-11, atol=1e-14)
     return solution.y[:2, -1], solution.y[2:, -1]
 
 
 @pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-9])
-def test_slip_begins_under_a_force_that_turns(rtol):
+def test_incipient_slip_under_rotating_force(rtol):
     end = START + 0.3
     scene = Scene(slider(MASS), [Contact("point", FLOOR, friction=MU)], control=turning)
     trajectory = run(scene, np.zeros(3), np.zeros(3), end, rtol=rtol, atol=1e-2 * rtol)
@@ -51,8 +51,8 @@ def test_slip_begins_under_a_force_that_turns(rtol):
 
 @pytest.mark.parametrize(("width", "rtol"), [(1.0, 1e-4), (0.03, 1e-4), (0.01, 1e-8)])
 @pytest.mark.parametrize("middle", [17.3, 37.123])
-def test_a_push_after_a_long_rest_is_not_missed(width, rtol, middle):
-    """F exp(−(t − t₀)²/w²) on a block: it slips from where F exceeds its friction on, until that stops it."""
+def test_short_push_after_long_rest_is_detected(width, rtol, middle):
+    """A block under a force F exp(−(t − t₀)²/w²) slips once the force exceeds friction, until it stops."""
     force = 8.0
 
     def control(t, q, v):
@@ -72,14 +72,14 @@ def test_a_push_after_a_long_rest_is_not_missed(width, rtol, middle):
     assert trajectory.q[-1, 0] == pytest.approx(moved, rel=20 * rtol)
 
 
-def test_the_onset_of_slip_takes_few_steps():
+def test_incipient_slip_takes_few_steps():
     scene = Scene(slider(MASS), [Contact("point", FLOOR, friction=MU)], control=turning)
     trajectory = run(scene, np.zeros(3), np.zeros(3), START + 0.3, rtol=1e-6)
-    assert trajectory.statistics["steps"] < 50  # an explicit method needs hundreds at the onset
+    assert trajectory.statistics["steps"] < 50  # an explicit method takes hundreds
 
 
-def test_slip_of_four_corners_whose_loads_follow_its_direction_takes_few_steps():
-    """Friction tips the box, so a turn of it changes all the loads, which are not unique; their sum stays."""
+def test_few_steps_if_loads_depend_on_direction_of_slip():
+    """The direction of friction changes the loads of the corners, which are not unique, but not their sum."""
     corners = [(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.06, 0.06)]
     box = free_body(pin.Inertia(MASS, np.array([0.0, 0.0, 0.15]), np.diag([0.02, 0.02, 0.02])), corners)
 
@@ -88,14 +88,14 @@ def test_slip_of_four_corners_whose_loads_follow_its_direction_takes_few_steps()
 
     scene = Scene(box, [Contact(f"tip{k}", FLOOR, friction=MU) for k in range(4)], control=control)
     trajectory = run(scene, [0, 0, 0, 0, 0, 0, 1], np.zeros(6), START + 0.3, rtol=1e-7, max_step=np.inf)
-    assert trajectory.statistics["steps"] < 60  # 3000, if the loads did not follow
-    # the loads turn it a little, so it is a point mass only nearly
+    assert trajectory.statistics["steps"] < 60  # 3000 if this coupling were neglected
+    # the loads rotate the box slightly, so the point mass is an approximation
     velocity = reference(START + 0.3)[1]
     assert trajectory.v[-1, :2] == pytest.approx(velocity, abs=1e-2 * np.linalg.norm(velocity))
 
 
-def test_slip_begins_at_one_contact_while_another_one_is_fast():
-    """A force turns by 2 rad within 2·10⁻⁷ s, and another body slides at 100 km/s."""
+def test_incipient_slip_beside_fast_sliding_contact():
+    """A force rotates by 2 rad within 2·10⁻⁷ s, and another body slides at 100 km/s."""
     rate, model = 1e7, pin.Model()
     for k in range(2):
         parent = 0
@@ -108,7 +108,7 @@ def test_slip_begins_at_one_contact_while_another_one_is_fast():
     def pull(t, q, v):
         return 2.0 * MU * G * np.array([0, 0, 0, np.cos(rate * t), np.sin(rate * t), 0])
 
-    def rates(s, u):  # of the velocity in units of μg/ω, by the time in units of 1/ω
+    def rates(s, u):  # velocity in units of μg/ω, time in units of 1/ω
         return 2.0 * np.array([np.cos(s), np.sin(s)]) - u / np.linalg.norm(u)
 
     scene = Scene(model, [Contact(f"point{k}", FLOOR, friction=MU) for k in range(2)], control=pull)
@@ -118,8 +118,8 @@ def test_slip_begins_at_one_contact_while_another_one_is_fast():
     assert trajectory.v[-1, 3:5] * rate / (MU * G) == pytest.approx(end.y[:, -1], abs=1e-4)
 
 
-def test_slip_that_turns_on_a_robot_with_a_joint_that_settles_fast():
-    """The joint has a milligram and a damping of 10 N s/m, so that its motion is that of what it is on."""
+def test_turning_slip_of_robot_with_stiff_joint():
+    """The joint has a mass of 1 mg and a damping of 10 N s/m, so it practically moves with its parent."""
     ends, steps = [], []
     for joints in (3, 4):
         model, parent = pin.Model(), 0
@@ -148,8 +148,8 @@ def test_slip_that_turns_on_a_robot_with_a_joint_that_settles_fast():
 
 
 @pytest.mark.slow
-def test_what_settles_after_a_bounce_is_not_approached_by_many_refused_steps():
-    # the velocity of the arm jumps and settles within 1e-10 s; steps of 1e-2 s before the bounce are tried
+def test_fast_transient_after_impact_takes_few_rejected_steps():
+    # the velocity of the arm settles within 1e-10 s after the impact; before, steps are 1e-2 s long
     model = pin.Model()
     slider = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slider")
     model.appendBodyToJoint(slider, pin.Inertia(1.0, np.zeros(3), np.eye(3) * 1e-3), pin.SE3.Identity())
@@ -165,8 +165,8 @@ def test_what_settles_after_a_bounce_is_not_approached_by_many_refused_steps():
     assert abs(trajectory.energy.residual[-1]) < 1e-6
 
 
-def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(monkeypatch):
-    """A mass pulls another one along, by an arm that turns and slides in it; both begin to slip."""
+def test_two_coupled_incipient_slips_agree_with_explicit_method(monkeypatch):
+    """Two masses are coupled by an arm on a revolute and a prismatic joint; both begin to slip."""
     model, parent = pin.Model(), 0
     kinds = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
     for k, kind in enumerate((*kinds, pin.JointModelRZ, pin.JointModelPX, pin.JointModelPZ)):
@@ -189,14 +189,14 @@ def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(m
 
     implicit, steps = end()
     monkeypatch.setattr(step_radau, "STIFF", np.inf)
-    monkeypatch.setattr(progress, "BY_EVENTS", 0.0)  # explicit steps are as short there as at a jump
+    monkeypatch.setattr(progress, "BY_EVENTS", 0.0)  # explicit steps become as short as at a discontinuity
     explicit, more_steps = end()
     assert implicit == pytest.approx(explicit, abs=1e-5)
     assert 5 * steps < more_steps
 
 
-def test_a_rod_on_two_tips_slips_when_no_forces_hold_it_any_more():
-    """The forces along the rod are not unique: it holds as long as some of them obey Coulomb's law."""
+def test_rod_on_two_tips_slips_when_no_sticking_forces_exist():
+    """Forces along the rod are not unique: it sticks as long as some of them satisfy Coulomb's law."""
     rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 0.1, 0.1])), [(-0.5, 0, 0), (0.5, 0, 0)])
 
     def pull(t, q, v):
@@ -204,7 +204,7 @@ def test_a_rod_on_two_tips_slips_when_no_forces_hold_it_any_more():
 
     contacts = [Contact(f"tip{k}", FLOOR, friction=0.4) for k in range(2)]
     q0 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    start = 0.4 * 0.5 * G / (2.5 * (0.5 + 0.1))  # one tip holds the pull and the torque with all its friction
+    start = 0.4 * 0.5 * G / (2.5 * (0.5 + 0.1))  # one tip bears the pull and the torque at its friction limit
     ends = []
     for longest in (np.inf, 0.05):
         trajectory = run(Scene(rod, contacts, control=pull), q0, np.zeros(6), 2.0, max_step=longest)
@@ -215,7 +215,7 @@ def test_a_rod_on_two_tips_slips_when_no_forces_hold_it_any_more():
     assert ends[0] == pytest.approx(ends[1], abs=1e-5)
 
 
-def test_the_coefficients_are_those_of_radau_iia():
+def test_coefficients_of_radau_iia():
     nodes, matrix, s = radau.ABSCISSAE, radau.MATRIX, radau.STAGES
     for k in range(2 * s - 1):
         assert matrix[-1] @ nodes**k == pytest.approx(1 / (k + 1), abs=1e-14)
