@@ -1,4 +1,4 @@
-"""Two convex shapes: how far apart, where they touch, and when."""
+"""Two convex shapes: gap, contact points and time of contact."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STRAIGHT = np.eye(3)
 
 
 class Flight:
-    """A body in free flight: thrown with a velocity of its origin and a constant spin."""
+    """A body in free flight with an initial velocity of its origin and a constant angular velocity."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ def state_of(a: Flight, b: Flight, t: float) -> PairState:
 
 
 def touch_time(a: Flight, b: Flight, end: float = 2.0, room: float = 0.0) -> float:
-    """When the two first touch, with bounds of their accelerations that leave room; infinite where not."""
+    """Return the time of first contact, or infinity; bounds of accelerations are increased by `room`."""
 
     def at(t: float) -> PairState:
         return state_of(a, b, t)
@@ -124,8 +124,8 @@ def test_first_touch_of_random_bodies_is_the_root_of_coals_distance(kinds: tuple
     assert hits > 0
 
 
-def test_what_parts_as_its_force_fades_takes_few_advances(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ball leaves another like t³ while it goes round it fast; third rates of the gap see that it goes."""
+def test_separation_with_vanishing_acceleration_takes_few_advances(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball orbits another one while the gap grows like t³, as third derivatives of the gap show."""
     monkeypatch.setattr(touch_time_module, "MAX_ADVANCES", 200)
     a, b, turn = sphere(0.1), sphere(0.2), 8.0
 
@@ -160,7 +160,7 @@ def test_touch_of_balls_and_capsules_in_closed_form() -> None:
     assert touch_time(small, large) == pytest.approx((3.0 - math.sqrt(0.09 - 0.01)) / 2.0, rel=1e-14)
     crossed = Flight(capsule(0.05, 1.0), (0.3, 0.2, 2.0), rotation=pin.utils.rotate("x", 1.2), gravity=FALL)
     lying = Flight(capsule(0.1, 1.0), (0.0, 0.0, 0.0), rotation=pin.utils.rotate("y", math.pi / 2))
-    # the axes are apart by z, from z = 2 + 0.2 tan(π/2 − 1.2) where they pass, at right angles to both
+    # the distance of the axes is z, with z = 2 + 0.2 tan(π/2 − 1.2) as they pass at right angles
     axis = np.array([0.0, -math.sin(1.2), math.cos(1.2)])
     normal = np.cross(np.array([1.0, 0.0, 0.0]), axis)
     height = abs(normal @ (0.3, 0.2, 2.0))
@@ -170,10 +170,10 @@ def test_touch_of_balls_and_capsules_in_closed_form() -> None:
 
 @pytest.mark.parametrize("size", [1e-4, 1e-2, 1.0])
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-4, 1e-2, 1.0])
-def test_capsules_that_cross_are_as_far_apart_as_their_lines(size, angle):
+def test_gap_of_crossing_capsules_is_distance_of_axes_minus_radii(size, angle):
     rod, turned = capsule(0.05 * size, 0.5 * size), pin.exp3(np.array([angle, 0.0, 0.0]))
     there = np.array([0.3 * size, 0.0, 0.0])
-    for along in (0.0, 0.2 * size):  # where they cross, from the middle of both
+    for along in (0.0, 0.2 * size):  # position of the crossing relative to both centres
         beside = there + (np.eye(3)[2] - turned[:, 2]) * along
         found = gap(rod.at(np.eye(3), np.zeros(3)), rod.at(turned, beside))
         assert found.value == pytest.approx(0.2 * size, abs=1e-9 * size)
@@ -197,7 +197,7 @@ def test_box_falls_on_a_box_with_face_edge_or_corner(turned: int) -> None:
     assert all(touch.other[2] == pytest.approx(0.5, abs=1e-15) for touch in found)
 
 
-def test_edges_that_cross_touch_where_they_cross() -> None:
+def test_crossing_edges_touch_at_their_crossing() -> None:
     a = Flight(
         box((2.0, 0.2, 0.2)), (0.1, 0.0, 1.0), (0.0, 0.0, -1.0), rotation=pin.utils.rotate("x", math.pi / 4)
     )
@@ -212,7 +212,7 @@ def test_edges_that_cross_touch_where_they_cross() -> None:
     np.testing.assert_allclose(touch.point, (0.0, 0.0, 0.1 * math.sqrt(2.0)), atol=1e-13)
 
 
-def test_a_face_over_a_corner_touches_in_the_corners_of_what_is_shared() -> None:
+def test_patch_of_partly_overlapping_faces() -> None:
     a, b = (
         box((1.0, 1.0, 1.0)).at(STRAIGHT, np.array([0.3, 0.2, 1.0])),
         box((1.0, 1.0, 1.0)).at(STRAIGHT, np.zeros(3)),
@@ -226,23 +226,23 @@ def test_a_face_over_a_corner_touches_in_the_corners_of_what_is_shared() -> None
 
 
 @pytest.mark.parametrize(("offset", "hits"), [(-1e-9, True), (1e-9, False), (-1e-7, True)])
-def test_passes_that_graze_or_miss(offset: float, hits: bool) -> None:
+def test_grazing_and_missing_passes(offset: float, hits: bool) -> None:
     miss = 0.3 + offset
     a = Flight(sphere(0.1), (2.0, miss, 0.0), (-2.0, 0.0, 0.0))
     expected = (2.0 - math.sqrt(max(0.09 - miss**2, 0.0))) / 2.0 if hits else math.inf
     assert touch_time(a, Flight(sphere(0.2), (0.0, 0.0, 0.0))) == pytest.approx(expected, abs=1e-10)
-    # a corner of a cube that turns past a face
+    # a corner of a rotating cube passes a face
     spin = 1.0
     reach = math.sqrt(0.5)
     b = Flight(box((0.2, 4.0, 4.0)), (reach + 0.1 + offset, 0.0, 0.0))
     turning = Flight(box((1.0, 1.0, 1.0)), (0.0, 0.0, 0.0), spin=(0.0, 0.0, spin))
     expected = math.pi / 4 - math.acos((reach + offset) / reach) if hits else math.inf
-    # the corner is slow as it grazes, so that the rounding of its place counts
+    # the grazing corner is slow, so rounding errors of its position matter
     assert touch_time(turning, b, 1.5) == pytest.approx(expected, abs=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_heights_over_the_plane_of_two_edges_bend_by_no_more_than_their_bound(seed: int) -> None:
+def test_bound_of_gap_acceleration_of_two_edges(seed: int) -> None:
     rng = np.random.default_rng(seed)
     flights = [
         Flight(box((0.4, 0.3, 0.2)), rng.normal(size=3), spin=rng.normal(size=3), rotation=pin.exp3(turn))
@@ -280,7 +280,7 @@ def test_heights_over_the_plane_of_two_edges_bend_by_no_more_than_their_bound(se
 
 
 @pytest.mark.slow
-def test_what_parts_slowly_beside_large_bounds_has_parted() -> None:
+def test_slow_separation_with_large_bounds_is_detected() -> None:
     lower = Flight(box((0.2, 0.2, 0.2)), (0.0, 0.0, 0.0))
     upper = Flight(box((0.2, 0.2, 0.2)), (0.0, 0.0, 0.2), gravity=(0.0, 0.0, 0.02))
     assert touch_time(upper, lower, 1e-3, room=2700.0) == math.inf
@@ -304,20 +304,20 @@ def test_gap_is_exact_when_small_and_never_more_than_the_distance() -> None:
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-2, 1e-4])
-def test_gap_of_a_box_over_a_face_is_the_height_of_its_lowest_corner_in_every_size(size: float) -> None:
+def test_gap_of_box_over_face_is_height_of_lowest_corner_at_all_sizes(size: float) -> None:
     rng, missed = np.random.default_rng(3), []
     for _ in range(1000):
         block = box(size * np.array([2.0, 2.0, 1.0])).at(STRAIGHT, np.zeros(3))
         rotation = pin.exp3(rng.normal(size=3) * rng.choice([1e-4, 0.03, 1.0]))
         over = box(size * rng.uniform(0.05, 0.6, 3)).at(rotation, np.zeros(3))
         height = size * 10.0 ** rng.uniform(-9.0, -3.0)
-        across = size * rng.uniform(-0.4, 0.4, 2)  # not beyond the sides, wherever the corner is
+        across = size * rng.uniform(-0.4, 0.4, 2)  # so that all corners stay above the face
         place = np.array([*across, 0.5 * size + height - over.vertices[:, 2].min()])
         missed.append(gap(over.shape.at(rotation, place), block).value - height)
-    assert np.abs(missed).max() < 1e-9 * size  # ten times the error that coal gives boxes
+    assert np.abs(missed).max() < 1e-9 * size  # ten times coal's error for boxes
 
 
-def test_shapes_are_made_of_what_coal_has() -> None:
+def test_shapes_from_coal_geometries() -> None:
     made = of_collision_geometry(coal.Box(1.0, 2.0, 3.0), "b")
     assert made.reach == pytest.approx(math.sqrt(14.0) / 2.0)
     assert (len(made.vertices), len(made.faces), len(made.edges)) == (8, 6, 12)
@@ -329,7 +329,7 @@ def test_shapes_are_made_of_what_coal_has() -> None:
         hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
 
 
-def test_a_mesh_that_is_not_convex_takes_its_hull_and_says_so() -> None:
+def test_non_convex_mesh_is_replaced_by_its_hull_with_warning() -> None:
     mesh = coal.BVHModelOBBRSS()
     corners = [[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]
     mesh.beginModel(2, 9)
@@ -340,7 +340,7 @@ def test_a_mesh_that_is_not_convex_takes_its_hull_and_says_so() -> None:
         assert len(of_collision_geometry(mesh, "m").vertices) == 8
 
 
-def test_edges_that_have_become_parallel_are_left():
+def test_edges_that_become_parallel_are_abandoned():
     cube = box((1.0, 1.0, 1.0))
     a, b = cube.at(STRAIGHT, np.zeros(3)), cube.at(STRAIGHT, np.array([1.0, 2.0, 3.0]))
     normal = np.array([0.0, 0.0, -1.0])

@@ -1,4 +1,4 @@
-"""Contacts of collision shapes against closed forms, coal's distances, and contacts written by hand."""
+"""Contacts of collision shapes, against closed forms, distances of coal, and explicit contacts."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ BOX = pin.Inertia.FromBox(1.5, *SIDES)
 
 
 def turned(rotation, position=(0.0, 0.0, 0.0)):
-    """The configuration of a free body."""
+    """Return the configuration of a free body."""
     return np.array([*position, *pin.Quaternion(rotation).coeffs()])
 
 
 def tilted(down):
-    """A rotation that takes a direction of the body to where gravity points."""
+    """Return a rotation that turns a direction of the body into that of gravity."""
     down = np.array(down, dtype=float) / np.linalg.norm(down)
     return pin.Quaternion.FromTwoVectors(down, np.array([0.0, 0.0, -1.0])).matrix()
 
@@ -41,13 +41,13 @@ def cylinder_inertia(mass, radius, length):
     return pin.Inertia(mass, np.zeros(3), np.diag([across, across, 0.5 * mass * radius**2]))
 
 
-def by_hand(scene):
-    """The same scene with contacts that belong to no shape, so that each is looked at alone."""
+def with_explicit_contacts(scene):
+    """Return the same scene with explicit contacts instead of shapes, each evaluated separately."""
     return replace(scene, contacts=[replace(contact, shape=None) for contact in scene.contacts])
 
 
 def same_motion(one, other):
-    """Two runs agree but for rounding: what touches at one instant may be numbered in another way."""
+    """Check that two runs agree up to rounding; simultaneous contacts may be numbered differently."""
     assert [i.source for i in one.impacts] == [i.source for i in other.impacts]
     np.testing.assert_allclose(one.t, other.t, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(one.q, other.q, rtol=0.0, atol=1e-12)
@@ -66,7 +66,7 @@ CORNERS = [SIDES, (-SIDES[0], SIDES[1], SIDES[2])]
 
 
 @pytest.mark.parametrize("down", [*FACES, *EDGES, *CORNERS, (0.3, -0.5, 0.9)])
-def test_a_box_is_its_eight_corners(down):
+def test_box_is_equivalent_to_its_eight_corners(down):
     robot = shaped_body(coal.Box(*SIDES), BOX)
     scene = Scene(robot, contacts=Contact(geometry="thing_0", plane=FLOOR, friction=0.4, restitution=0.3))
     half = 0.5 * np.array(SIDES)
@@ -82,7 +82,7 @@ def test_a_box_is_its_eight_corners(down):
 
 
 @pytest.mark.parametrize(("down", "touching"), [(FACES[1], 4), (EDGES[0], 2), (CORNERS[0], 1)])
-def test_an_impact_takes_the_tips_that_touch(down, touching):
+def test_impact_includes_touching_tips(down, touching):
     robot = shaped_body(coal.Box(*SIDES), BOX, pin.SE3(pin.utils.rotate("x", 0.4), np.array([0.02, 0, 0.01])))
     shape = robot.collision_model.geometryObjects[0].placement
     q = turned(tilted(down) @ shape.rotation.T, (0.0, 0.0, 1.0))
@@ -105,11 +105,11 @@ def test_an_impact_takes_the_tips_that_touch(down, touching):
     assert contact.gap(robot, robot.data, q) == pytest.approx(corners[0].gap(robot, robot.data, q), abs=1e-15)
 
 
-# ---- what rolls
+# ---- rolling
 
 
 @pytest.mark.parametrize("friction", [0.6, 0.06])
-def test_a_cylinder_rolls_down_a_slope(friction):
+def test_cylinder_rolls_down_slope(friction):
     angle, radius = 0.3, 0.1
     robot = shaped_body(coal.Cylinder(radius, 0.3), cylinder_inertia(2.0, radius, 0.3))
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
@@ -124,7 +124,7 @@ def test_a_cylinder_rolls_down_a_slope(friction):
     assert {mode.mode for mode in trajectory.modes} == {"stick" if rolls else "slip"}
 
 
-def test_a_capsule_rests_on_its_ends_and_rolls():
+def test_capsule_rests_on_its_ends_and_rolls():
     radius, mass, axial = 0.05, 0.7, 0.4 * 0.7 * 0.05**2
     inertia = pin.Inertia(mass, np.zeros(3), np.diag([0.01, 0.01, axial]))
     robot = shaped_body(coal.Capsule(radius, 0.2), inertia)
@@ -133,13 +133,13 @@ def test_a_capsule_rests_on_its_ends_and_rolls():
     rest = run(scene, lying, np.zeros(6), 0.2)
     forces = [rest.forces(contact.label, [0.1])[0] for contact in scene.contacts]
     assert forces == pytest.approx(np.array([[0.0, 0.0, 0.5 * mass * G]] * 2), abs=1e-9)
-    pushed = run(scene, lying, np.array([0.4, 0, 0, 0, 0, 0]), 1.0)  # slips until it rolls
+    pushed = run(scene, lying, np.array([0.4, 0, 0, 0, 0, 0]), 1.0)  # slides, then rolls
     speed = np.linalg.norm(pushed.v[-1, :3])
     assert speed == pytest.approx(0.4 / (1.0 + axial / (mass * radius**2)), abs=1e-8)
 
 
 @pytest.mark.parametrize(("tilt", "precession"), [(60.0, 2.0), (100.0, 3.0), (20.0, 6.0)])
-def test_a_rolling_disc_precesses_steadily(tilt, precession):
+def test_rolling_disc_precesses_steadily(tilt, precession):
     """With θ between axis and vertical: (C + mρ²) Ω ω sin θ = A Ω² sin θ cos θ − m g ρ cos θ."""
     mass, rho, theta = 1.3, 0.2, np.radians(tilt)
     across, along = 0.25 * mass * rho**2, 0.5 * mass * rho**2
@@ -169,8 +169,8 @@ def test_a_rolling_disc_precesses_steadily(tilt, precession):
     assert np.hypot(*force[:2]) == pytest.approx(mass * abs(rho * spin * precession), abs=1e-7)
 
 
-def test_a_wheel_rolls_on_a_tray_that_swings():
-    """Both are free to move, and rolling costs no energy."""
+def test_wheel_rolls_on_swinging_tray():
+    """Both are free to move, and rolling conserves energy."""
     model = pin.Model()
     tray = model.addJoint(0, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0.0, 0.0, 1.0])), "hinge")
     model.appendBodyToJoint(tray, pin.Inertia.FromBox(3.0, 1.0, 1.0, 0.1), pin.SE3.Identity())
@@ -181,7 +181,7 @@ def test_a_wheel_rolls_on_a_tray_that_swings():
     model.lowerPositionLimit[0], model.upperPositionLimit[0] = -9.0, 9.0
     contact = Contact("hub", Plane(body="tray", point=(0, 0, 0.05)), friction=4.0, rim=0.1, radius=0.01)
     rotation = pin.utils.rotate("x", np.pi / 2 + 0.1) @ pin.utils.rotate("y", 0.3)
-    # straight up to where the lowest point of the rim touches
+    # move up until the lowest point of the rim touches
     q0 = np.concatenate([[0.0], turned(rotation, (0.1, 0.15, 1.5))])
     q0[3] -= contact.gap(model, model.createData(), q0)
     trajectory = run(Scene(model, contacts=contact), q0, np.array([0.3, *np.zeros(6)]), 0.3, audit=1e-8)
@@ -191,11 +191,11 @@ def test_a_wheel_rolls_on_a_tray_that_swings():
     assert np.ptp(total) < 1e-7 * np.ptp(trajectory.energy.potential)
 
 
-# ---- when a shape touches
+# ---- time of contact
 
 
 def solids():
-    """Shapes by name."""
+    """Return shapes by name."""
     rng = np.random.default_rng(7)
     return {
         "cylinder": coal.Cylinder(0.1, 0.3),
@@ -207,7 +207,7 @@ def solids():
 
 
 def height(robot, q):
-    """The distance of the shape from the floor, as coal has it, to rounding for a halfspace."""
+    """Return the distance of the shape from the floor by coal, exact up to rounding for a halfspace."""
     shape = robot.collision_model.geometryObjects[0]
     solid = shape.geometry
     if isinstance(solid, coal.BVHModelOBBRSS):
@@ -225,7 +225,7 @@ def height(robot, q):
 
 
 @pytest.mark.parametrize("name", list(solids()))
-def test_a_tumbling_shape_touches_when_coal_says_so(name):
+def test_contact_time_of_tumbling_shape_agrees_with_coal(name):
     rng = np.random.default_rng(11)
     placement = pin.SE3(pin.utils.rpyToMatrix(0.3, -0.5, 1.0), np.array([0.02, -0.03, 0.05]))
     robot = shaped_body(solids()[name], pin.Inertia.FromBox(1.0, 0.1, 0.2, 0.3), placement)
@@ -235,7 +235,7 @@ def test_a_tumbling_shape_touches_when_coal_says_so(name):
         trajectory = pinimpact.simulate(scene, q0, rng.normal(size=6) * [1, 1, 1, 9, 9, 9], 0.6)
         first = trajectory.impacts[0].time
         assert abs(height(robot, trajectory.at(first)[0])) <= 5e-16
-        # and never before: not between samples either, where the distance falls no faster than this
+        # and not before, nor between samples, by the bound of the rate of the distance
         times = np.linspace(0.0, first, 400, endpoint=False)
         states = [trajectory.at(t) for t in times]
         fastest = 1.2 * max(np.linalg.norm(v[:3]) + 0.25 * np.linalg.norm(v[3:]) for _, v in states)
@@ -245,7 +245,7 @@ def test_a_tumbling_shape_touches_when_coal_says_so(name):
         assert sure[:-20].all()
 
 
-def test_a_hull_is_the_corners_of_its_mesh():
+def test_hull_is_equivalent_to_corners_of_its_mesh():
     rng = np.random.default_rng(3)
     grid = np.array(np.meshgrid(*[np.linspace(-1.0, 1.0, 5)] * 3)).reshape(3, -1).T
     for points, count in (
@@ -261,16 +261,16 @@ def test_a_hull_is_the_corners_of_its_mesh():
         assert all((points == corner).all(axis=1).any() for corner in corners)
 
 
-def test_shapes_watched_as_a_whole_move_as_their_points_do():
+def test_shapes_monitored_as_a_whole_move_as_their_points():
     robot = panda()
     links = ["panda_hand", "panda_leftfinger", "panda_rightfinger", "panda_link6"]
     scene = Scene(robot).contacts_from_geometry(FLOOR, links, friction=0.4, restitution=0.2)
     q0 = robot.q0.copy()
     q0[:7] = 0.0, 0.5, 0.0, -1.8, 0.0, 1.6, 0.7
-    same_motion(run(scene, q0, np.zeros(9), 0.45), run(by_hand(scene), q0, np.zeros(9), 0.45))
+    same_motion(run(scene, q0, np.zeros(9), 0.45), run(with_explicit_contacts(scene), q0, np.zeros(9), 0.45))
 
 
-def test_room_is_made_for_what_closes(monkeypatch):
+def test_workspace_grows_with_closing_contacts(monkeypatch):
     robot = shaped_body(coal.Box(*SIDES), BOX)
     scene = Scene(robot, contacts=Contact(geometry="thing_0", plane=FLOOR, friction=0.4))
     start = turned(np.eye(3), (0.0, 0.0, 0.3)), np.array([0.3, 0.1, 0.0, 0.0, 0.0, 0.5])
@@ -294,7 +294,7 @@ def can(**keywords):
     return robot, Scene(robot, contacts=Contact(geometry="thing_0", plane=FLOOR, friction=0.5, **keywords))
 
 
-def test_a_smooth_rim_does_not_stand():
+def test_smooth_rim_standing_flat_raises():
     robot, scene = can()
     q0 = turned(np.eye(3), (0.0, 0.0, 0.2))
     with pytest.raises(SimulationError, match=r"t = 0.1009\d* s .*'thing_0 rim 1 on floor' lies flat"):
@@ -310,8 +310,8 @@ def test_a_smooth_rim_does_not_stand():
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
-def test_a_smooth_rim_does_not_lie_flat_in_time_steps(restitution, tilt):
-    # its single point of contact would let it topple, and spin on as on a tip
+def test_smooth_rim_landing_flat_in_time_steps_raises(restitution, tilt):
+    # with a single contact point it would topple, and keep spinning as on a tip
     robot = shaped_body(coal.Cylinder(0.1, 0.3), cylinder_inertia(2.0, 0.1, 0.3))
     contact = Contact(geometry="thing_0", plane=FLOOR, friction=0.5, restitution=restitution)
     q0 = turned(pin.utils.rotate("x", tilt), (0.0, 0.0, 0.1 * np.sin(tilt) + 0.15 * np.cos(tilt) + 0.01))
@@ -322,8 +322,8 @@ def test_a_smooth_rim_does_not_lie_flat_in_time_steps(restitution, tilt):
     assert rolls.complete
 
 
-def test_a_rim_that_topples_flat_goes_no_further():
-    """About its lowest point, with θ̈ = −(4 g/5 ρ) cos θ, and θ small; spun, it rolls on round its edge."""
+def test_rim_that_topples_flat_ends_the_run():
+    """It topples about its lowest point, θ̈ = −(4 g/5 ρ) cos θ, at small θ; with spin it keeps rolling."""
     rho, theta = 0.2, 0.02
     robot = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([0.25, 0.25, 0.5]) * rho**2))
     scene = Scene(robot, contacts=Contact("center", FLOOR, friction=0.8, rim=rho, name="rim"))
@@ -340,7 +340,7 @@ def test_a_rim_that_topples_flat_goes_no_further():
     assert spun.q[:, 2].min() > 0.0
 
 
-def test_points_of_a_rim_stand():
+def test_rim_of_points_stands():
     _, scene = can(rim_points=6, restitution=0.2)
     assert len(scene.contacts) == 12
     trajectory = run(scene, turned(np.eye(3), (0.0, 0.0, 0.2)), np.array([0.1, 0, 0, 0, 0, 0]), 0.6)
@@ -349,10 +349,10 @@ def test_points_of_a_rim_stand():
     assert forces == pytest.approx([0.0, 0.0, 2.0 * G], abs=1e-8)
 
 
-# ---- what is watched
+# ---- monitored shapes
 
 
-def test_all_links_are_watched_but_those_that_cannot_reach():
+def test_links_out_of_reach_are_excluded():
     robot = panda()
     scene = Scene(robot).contacts_from_geometry(FLOOR, friction=0.3)
     shapes = {contact.shape for contact in scene.contacts}
@@ -363,7 +363,7 @@ def test_all_links_are_watched_but_those_that_cannot_reach():
     assert len(base.plan().unreachable) == len(base.contacts) > 0
 
 
-def test_spheres_of_shapes_bound_them():
+def test_bounding_spheres_contain_shapes():
     robot = panda()
     scene = Scene(robot).contacts_from_geometry(FLOOR)
     tables = scene.layout().tables(scene.contacts)
@@ -372,7 +372,7 @@ def test_spheres_of_shapes_bound_them():
         assert np.linalg.norm(centres - tables.spheres[k, :3], axis=1).max() <= radius
 
 
-def test_reduced_and_merged_robots_keep_their_shapes():
+def test_reduced_and_merged_robots_keep_shapes():
     whole = panda()
     reduced = whole.buildReducedRobot([8, 9], whole.q0)
     full = Contact(geometry="panda_leftfinger_3", plane=FLOOR)
@@ -382,10 +382,10 @@ def test_reduced_and_merged_robots_keep_their_shapes():
     )
 
 
-# ---- bad input
+# ---- invalid input
 
 
-def test_bad_input_is_refused():
+def test_invalid_input_raises():
     robot = shaped_body(coal.Box(*SIDES), BOX)
     with pytest.raises(InputError, match="neither a frame nor a geometry"):
         Contact(plane=FLOOR)
@@ -448,7 +448,7 @@ def test_bad_input_is_refused():
             Contact(geometry="thing_0", plane=FLOOR).tips(shaped_body(solid, BOX))
 
 
-def test_a_shape_without_a_link_hangs_on_a_frame_of_its_joint():
+def test_shape_without_link_uses_frame_of_its_joint():
     model = pin.Model()
     model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     shapes = pin.GeometryModel()

@@ -1,4 +1,4 @@
-"""What is held or locked during an impact, against the model from which it has been taken out."""
+"""Impacts with held contacts and locked joints, against reduced models."""
 
 import warnings
 
@@ -20,7 +20,7 @@ def rng(request):
 
 @pytest.fixture
 def quiet():
-    """Held contacts may pull here."""
+    """Ignore warnings about held contacts that pull."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HeldContactWarning)
         yield
@@ -31,7 +31,7 @@ THREE_POINTS = [(0.1, 0, 0), (-0.1, 0.1, 0), (0, -0.1, 0.05)]
 
 
 def floating_and_fixed(name, rng):
-    """A robot with a free base and the same one with a fixed base, placed alike."""
+    """Return a robot with a free base, and the same one with a fixed base at the same placement."""
     free, fixed = (pinimpact.load_robot(name, free_flyer=flyer).model for flyer in (True, False))
     base = pin.SE3(cases.random_rotation(rng), rng.normal(size=3))
     for joint in range(1, fixed.njoints):
@@ -45,7 +45,7 @@ def floating_and_fixed(name, rng):
 @pytest.mark.parametrize(
     ("name", "frame", "base"), [("ur5", "tool0", "base_link"), ("panda", "panda_hand", "panda_link0")]
 )
-def test_a_base_that_cannot_move_is_a_fixed_base(name, frame, base, way, rng, quiet):
+def test_held_or_locked_base_equals_fixed_base(name, frame, base, way, rng, quiet):
     free, fixed, q, v = floating_and_fixed(name, rng)
     free_data, fixed_data = free.createData(), fixed.createData()
     contact = cases.random_contact(frame, rng)
@@ -64,7 +64,7 @@ def test_a_base_that_cannot_move_is_a_fixed_base(name, frame, base, way, rng, qu
     ]
     assert np.abs(w[0] - w[1]).max() < 1e-12 * np.abs(w[1]).max()
     if way != "locked":
-        # what the ground gives is what the base's wrench asks for
+        # impulses of the ground balance the wrench on the base
         gained = pin.crba(free, free_data, q) @ (one.v - v)
         rows = [contact_geometry(free, free_data, q, anchor) for anchor in held]
         given = sum(
@@ -77,7 +77,7 @@ def test_a_base_that_cannot_move_is_a_fixed_base(name, frame, base, way, rng, qu
 
 
 @pytest.mark.parametrize("still", [True, False])
-def test_locked_joints_are_joints_taken_out(still, rng):
+def test_locked_joints_equal_removed_joints(still, rng):
     model, data = cases.load("panda")
     q, v = cases.random_state(model, rng)
     names = ["panda_joint2", "panda_joint5", "panda_finger_joint1"]
@@ -99,7 +99,7 @@ def test_locked_joints_are_joints_taken_out(still, rng):
         assert np.abs(by_name.impulse_world - other.impulse_world).max() < 1e-12
 
 
-def test_locking_one_joint_by_its_bare_name(rng):
+def test_locking_one_joint_given_as_string(rng):
     model, data = cases.load("ur5")
     q, v = cases.random_state(model, rng)
     contact = cases.random_contact("tool0", rng)
@@ -108,7 +108,7 @@ def test_locking_one_joint_by_its_bare_name(rng):
     assert hit.v[2] == v[2]
 
 
-def test_locking_everything_leaves_nothing_that_yields(rng):
+def test_locking_all_joints_makes_approach_unstoppable(rng):
     model, data = cases.load("ur5")
     q, v = cases.random_state(model, rng)
     contact = cases.random_contact("tool0", rng)
@@ -117,7 +117,7 @@ def test_locking_everything_leaves_nothing_that_yields(rng):
         pinimpact.impact(model, data, q, v, contact, locked=list(model.names)[1:])
 
 
-def test_a_locked_joint_needs_no_inertia():
+def test_locked_joint_without_inertia():
     model, data = cases.load("romeo")
     massless = [name for name in model.names if name[1:5] in ("Hand", "Thum", "Fing")]
     contact = pinimpact.Contact("l_sole", pinimpact.Plane())
@@ -126,7 +126,7 @@ def test_a_locked_joint_needs_no_inertia():
 
 
 def standing(rng, feet=("FL_FOOT", "HR_FOOT")):
-    """solo12 with feet that do not move, and the front right one about to strike."""
+    """Return a state of solo12 in which some feet are at rest and the front right one approaches."""
     model, data = cases.load("solo12")
     q, v = cases.random_state(model, rng)
     held = [pinimpact.Contact(foot, GROUND, name=foot) for foot in feet]
@@ -136,20 +136,20 @@ def standing(rng, feet=("FL_FOOT", "HR_FOOT")):
     return model, data, q, cases.approaching(model, data, q, v, contact), contact, held, rows
 
 
-def test_held_feet_stay_and_the_books_balance(rng, quiet):
+def test_held_feet_stay_at_rest_and_momentum_balances(rng, quiet):
     model, data, q, v, contact, held, rows = standing(rng)
     hit = pinimpact.impact(model, data, q, v, contact, held=held)
     assert np.abs(rows @ hit.v).max() < 1e-12
     mass = cases.mass_by_rnea(model, q)
     struck = contact_geometry(model, data, q, contact)
     gained = mass @ (hit.v - v)
-    impulses = np.concatenate(hit.held_impulses)  # the ground's axes are the world's
+    impulses = np.concatenate(hit.held_impulses)  # axes of the ground are those of the world
     balance = struck.jacobian.T @ hit.solution.impulse + rows.T @ impulses
     assert np.abs(gained - balance).max() < 1e-12
     assert hit.solution.work.total == pytest.approx(
         cases.kinetic_energy(model, q, hit.v) - cases.kinetic_energy(model, q, v), rel=1e-10
     )
-    # by the other road: the saddle point of the bilateral rows
+    # alternative: saddle-point system of the bilateral rows
     saddle = np.block([[mass, rows.T], [rows, np.zeros((6, 6))]])
     response = np.linalg.solve(saddle, np.vstack([struck.jacobian.T, np.zeros((6, 3))]))[: model.nv]
     matrices = pinimpact.contact_matrices(model, data, q, contact, held=held)
@@ -159,7 +159,7 @@ def test_held_feet_stay_and_the_books_balance(rng, quiet):
     )
 
 
-def test_the_same_foot_held_twice_shares_the_impulse(rng, quiet):
+def test_foot_held_twice_shares_the_impulse(rng, quiet):
     model, data, q, v, contact, held, _ = standing(rng)
     once = pinimpact.impact(model, data, q, v, contact, held=held)
     twice = pinimpact.impact(model, data, q, v, contact, held=[held[0], held[0], held[1]])
@@ -169,13 +169,13 @@ def test_the_same_foot_held_twice_shares_the_impulse(rng, quiet):
     assert np.abs(twice.held_impulses[2] - once.held_impulses[1]).max() < 1e-11
 
 
-def test_one_held_contact_need_not_be_wrapped(rng, quiet):
+def test_single_held_contact_without_list(rng, quiet):
     model, data, q, v, contact, held, _ = standing(rng, feet=("FL_FOOT",))
     one, other = (pinimpact.impact(model, data, q, v, contact, held=x) for x in (held, held[0]))
     assert one.v.tolist() == other.v.tolist()
 
 
-def test_held_impulses_are_in_world_axes_whatever_the_plane(rng, quiet):
+def test_held_impulses_are_in_world_axes_for_any_plane(rng, quiet):
     model, data, q, v, contact, held, _ = standing(rng)
     tilted = [pinimpact.Contact(foot.frame, cases.random_plane(rng)) for foot in held]
     one, other = (pinimpact.impact(model, data, q, v, contact, held=feet) for feet in (held, tilted))
@@ -184,8 +184,8 @@ def test_held_impulses_are_in_world_axes_whatever_the_plane(rng, quiet):
     assert pinimpact.impact(model, data, q, v, contact).held_impulses.shape == (0, 3)
 
 
-def test_a_closed_loop_stays_closed(rng, quiet):
-    """Two arms of one model hold hands while one of them is struck."""
+def test_closed_loop_stays_closed(rng, quiet):
+    """The hands of two arms in one model are held together while one arm is struck."""
     model, data = cases.two_arms()
     q, v = cases.random_state(model, rng)
     loop = pinimpact.Contact("tool0", pinimpact.Plane(body="other_tool0"))
@@ -195,19 +195,19 @@ def test_a_closed_loop_stays_closed(rng, quiet):
     v = cases.approaching(model, data, q, v, contact)
     hit = pinimpact.impact(model, data, q, v, contact, held=[loop])
     assert np.abs(rows @ hit.v).max() < 1e-12
-    assert np.abs(hit.v[6:] - v[6:]).max() > 1e-6  # the other arm feels it
+    assert np.abs(hit.v[6:] - v[6:]).max() > 1e-6  # the other arm is coupled
     assert hit.solution.work.total == pytest.approx(
         cases.kinetic_energy(model, q, hit.v) - cases.kinetic_energy(model, q, v), rel=1e-10
     )
 
 
-def test_a_foot_that_would_have_to_pull_is_warned_of():
-    """A body of unit mass and inertia on a hinge beside its centre, stopped by a blow from below."""
+def test_pulling_held_contact_causes_warning():
+    """A body of unit mass and inertia on a hinge beside its centre is stopped by an impulse from below."""
     robot = pinimpact.load_robot("ellipsoid")
     model, data, q = robot.model, robot.data, robot.q0
     struck = pinimpact.Contact("ellipsoid", pinimpact.Plane(), offset=(2, 0, 0))
     held = pinimpact.Contact("ellipsoid", pinimpact.Plane(), offset=(1, 0, 0), name="hinge")
-    v = np.array([0, 0, 1.0, 0, 1.0, 0])  # turns about the hinge, the long end going down
+    v = np.array([0, 0, 1.0, 0, 1.0, 0])  # rotates about the hinge, with the long end moving down
     with pytest.warns(HeldContactWarning, match="'hinge' pulls on its surface with 3 N s"):
         hit = pinimpact.impact(model, data, q, v, struck, held=held)
     assert hit.impulse_world == pytest.approx([0, 0, 2])
@@ -219,7 +219,7 @@ def test_a_foot_that_would_have_to_pull_is_warned_of():
     assert pushed.held_impulses[0] == pytest.approx([0, 0, 1 / 3])
 
 
-def test_a_held_contact_must_be_at_rest(rng):
+def test_moving_held_contact_raises(rng):
     model, data, q, v, contact, held, _ = standing(rng)
     moving = v + 0.01 * rng.normal(size=model.nv)
     with pytest.raises(pinimpact.InputError, match=r"held: 'FL_FOOT' moves at .* m/s"):
@@ -230,8 +230,8 @@ def test_a_held_contact_must_be_at_rest(rng):
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.HeldContactWarning")
-def test_a_held_point_is_at_rest_where_rounding_moves_it(rng):
-    """Three joints reach the held point, so their velocities are zero, or what a computation leaves of it."""
+def test_held_point_with_rounding_errors_of_velocity_is_accepted(rng):
+    """The held point requires zero velocities of three joints, here zero up to rounding errors."""
     robot = pinimpact.load_robot("ur5")
     model, data, q = robot.model, robot.data, rng.uniform(-1.0, 1.0, 6)
     tool = pinimpact.Contact("tool0", pinimpact.Plane(), friction=0.4, restitution=0.3, law="energetic")
@@ -250,7 +250,7 @@ def test_a_held_point_is_at_rest_where_rounding_moves_it(rng):
 
 
 @pytest.mark.parametrize("held", ["FL_FOOT", ["FL_FOOT"], [None]])
-def test_what_is_held_must_be_contacts(held, rng):
+def test_invalid_held_contacts_raise(held, rng):
     model, data, q, v, contact, *_ = standing(rng)
     with pytest.raises(pinimpact.InputError, match=r"held: .* is not a Contact"):
         pinimpact.impact(model, data, q, v, contact, held=held)
@@ -273,12 +273,12 @@ def test_unknown_names(keep, message, rng):
 
 @pytest.mark.filterwarnings("ignore::pinimpact.HeldContactWarning")
 @pytest.mark.parametrize(("robot", "held"), [("panda", ()), ("solo12", ()), ("solo12", ("HR_FOOT",))])
-def test_joint_reactions_balance_the_momentum_of_every_link(robot, held):
+def test_joint_reactions_satisfy_momentum_balance_of_links(robot, held):
     model, data = cases.load(robot)
     rng = np.random.default_rng(7)
     model.armature = rng.uniform(0, 0.3, model.nv) * (np.arange(model.nv) >= model.nv - 9)
     contact = pinimpact.Contact(cases.FRAMES[robot], GROUND, friction=0.4, restitution=0.5, radius=0.02)
-    if robot == "panda":  # a plane on another link
+    if robot == "panda":  # a plane fixed to another link
         contact = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane(body="panda_link3"), 0.4, 0.5)
     anchors = [pinimpact.Contact(frame, GROUND) for frame in held]
     q, v = cases.random_state(model, rng)
@@ -307,7 +307,7 @@ def test_joint_reactions_balance_the_momentum_of_every_link(robot, held):
             base = model.frames[model.getFrameId(one.plane.body)].parentJoint
             balance[base] += [*push, *np.cross(at, push)]
     assert np.abs(balance).max() < 1e-12 * np.abs(wrenches).max()
-    for i in range(1, model.njoints):  # along its axes a joint only accelerates its rotor
+    for i in range(1, model.njoints):  # along its axes a joint transmits only the impulse on its rotor
         own = slice(model.idx_vs[i], model.idx_vs[i] + model.nvs[i])
         free = np.asarray(data.joints[i].S).T @ found[i] + model.armature[own] * change[own]
         assert np.abs(free).max() < 1e-11 * np.abs(wrenches).max()
@@ -315,8 +315,8 @@ def test_joint_reactions_balance_the_momentum_of_every_link(robot, held):
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("angles", [(0.99, 0.2), (0.99, 0.999)])
-def test_a_locked_joint_does_not_stop_at_its_limit(scheme, angles):
-    """No impulse changes its velocity; rounding of what is projected out of the inverse mass is none."""
+def test_locked_joint_reaching_its_limit_raises(scheme, angles):
+    """No impulse changes its velocity; rounding errors of the projected inverse mass matrix are ignored."""
     model, joint = pin.Model(), 0
     for k in range(3):
         place = pin.SE3(np.eye(3), np.array([0.3 if k else 0.0, 0, 0]))

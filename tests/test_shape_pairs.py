@@ -1,4 +1,4 @@
-"""Shapes against boxes, spheres and each other: closed forms, invariants, contacts written by hand."""
+"""Pairs of shapes, boxes and spheres, against closed forms, invariants and explicit contacts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def pose(x, y, z, roll=0.0, pitch=0.0, yaw=0.0):
 
 
 def two_bodies(first, second, gravity=False):
-    """Two free bodies, frames ``link0`` and ``link1``, with the shapes ``a`` and ``b``."""
+    """Return two free bodies, frames ``link0`` and ``link1``, with the shapes ``a`` and ``b``."""
     model, shapes = pin.Model(), pin.GeometryModel()
     for k, (name, shape) in enumerate((("a", first), ("b", second))):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"body{k}")
@@ -48,7 +48,7 @@ def two_bodies(first, second, gravity=False):
 
 
 def momentum(robot, q, v):
-    """(6,) linear and angular momentum about the world's origin."""
+    """Return linear and angular momentum (6,) about the origin of the world."""
     data = robot.model.createData()
     pin.computeCentroidalMomentum(robot.model, data, q, v)
     linear = data.hg.linear
@@ -57,8 +57,8 @@ def momentum(robot, q, v):
     )
 
 
-def deepest(robot, contacts, trajectory, count=200):
-    """How deep the shapes overlap at the most, as measured on the trajectory."""
+def deepest_penetration(robot, contacts, trajectory, count=200):
+    """Return the largest penetration of the shapes at `count` times of the trajectory [m]."""
     data = robot.model.createData()
     pairs = [shape_pair(robot, contact) for contact in contacts]
     worst = 0.0
@@ -68,7 +68,7 @@ def deepest(robot, contacts, trajectory, count=200):
     return worst
 
 
-def test_a_box_on_a_box_is_a_box_on_a_plane():
+def test_box_on_box_is_equivalent_to_box_on_plane():
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.1]))
     robot = shaped_body(coal.Box(0.3, 0.4, 0.5), inertia, name="crate")
     rubber = {"friction": 0.4, "restitution": 0.4}
@@ -84,7 +84,7 @@ def test_a_box_on_a_box_is_a_box_on_a_plane():
 
 
 @pytest.mark.parametrize("solid", [coal.Cylinder(0.2, 0.3), coal.Cone(0.2, 0.3)])
-def test_rim_points_on_a_box_are_those_on_a_plane(solid):
+def test_rim_points_on_box_are_equivalent_to_those_on_plane(solid):
     robot = shaped_body(solid, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.02, 0.03])), name="can")
     can = {"geometry": "can", "rim_points": 7, "friction": 0.3, "restitution": 0.4}
     q, v = pose(0.0, 0.0, 0.8, 0.5, 0.2, 0.1), np.array([0.2, 0.0, 0.0, 0.0, 0.5, 0.0])
@@ -96,13 +96,13 @@ def test_rim_points_on_a_box_are_those_on_a_plane(solid):
     np.testing.assert_allclose(found[0].q[-1], found[1].q[-1], atol=1e-8)
 
 
-def test_all_links_but_itself_meet_a_shape():
+def test_all_links_except_its_own_can_touch_a_shape():
     scene = Scene(two_bodies(coal.Cylinder(0.1, 0.6), coal.Sphere(0.2)))
     scene = scene.contacts_from_geometry(Shape("a", rim_points=6), friction=0.3)
     assert {contact.shape for contact in scene.contacts} == {"b"}
 
 
-def test_two_bodies_keep_their_momentum_and_part_by_the_coefficient():
+def test_impact_of_two_bodies_conserves_momentum_and_applies_restitution():
     rng = np.random.default_rng(5)
     robot = two_bodies(hull(0.3 * rng.normal(size=(20, 3))).collision, coal.Box(0.4, 0.6, 0.3))
     contact = Contact(geometry="a", plane=Shape("b"), friction=0.3, restitution=0.6, law="newton")
@@ -116,22 +116,22 @@ def test_two_bodies_keep_their_momentum_and_part_by_the_coefficient():
         momentum(robot, first.q, first.v_after), momentum(robot, first.q, first.v_before), atol=1e-13
     )
     assert np.linalg.norm(first.v_after - first.v_before) > 0.1
-    assert deepest(robot, [contact], trajectory) < 1e-9
-    # at the instant it is a point of the one on a plane that the other carries
+    assert deepest_penetration(robot, [contact], trajectory) < 1e-9
+    # at impact it is equivalent to a point of one body on a plane fixed to the other
     hit = pinimpact.impact(robot, robot.data, first.q, first.v_before, contact)
     np.testing.assert_allclose(hit.v, first.v_after, atol=1e-12)
     assert hit.solution.velocity[2] == pytest.approx(-0.6 * hit.problem.velocity[2], rel=1e-12)
-    # and does not depend on the axes of the world
+    # and independent of the axes of the world
     turn = pin.SE3.Random()
     moved = first.q.copy()
     for k in (0, 7):
         placed = turn * pin.XYZQUATToSE3(first.q[k : k + 7])
         moved[k : k + 7] = pin.SE3ToXYZQUAT(placed)
     again = pinimpact.impact(robot, robot.data, moved, first.v_before, contact)
-    np.testing.assert_allclose(again.v, hit.v, atol=1e-9)  # the shapes touch to rounding of places
+    np.testing.assert_allclose(again.v, hit.v, atol=1e-9)  # gaps have rounding errors
 
 
-def test_an_impact_is_that_of_a_contact_by_hand():
+def test_impact_of_shapes_equals_that_of_explicit_contact():
     robot = two_bodies(coal.Box(0.4, 0.4, 0.4), coal.Box(1.0, 1.0, 0.2))
     tilted = pin.rpy.rpyToMatrix(0.3, 0.4, 0.0)
     corner = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -146,7 +146,7 @@ def test_an_impact_is_that_of_a_contact_by_hand():
     hit, same = (pinimpact.impact(robot, robot.data, q, v, contact) for contact in (pair, hand))
     np.testing.assert_allclose(hit.v, same.v, atol=1e-13)
     np.testing.assert_allclose(hit.impulse_world, same.impulse_world, atol=1e-13)
-    # flat, all four corners take part; the block that is hit by its face gets the opposite impulse
+    # a flat impact involves all four corners; the block that is hit receives the opposite impulse
     flat = np.concatenate([pose(0.1, 0.0, 0.3), pose(0.0, 0.0, 0.0)])
     assert len(pinimpact.impact(robot, robot.data, flat, v, pair).impulses_world) == 4
     swapped = replace(pair, geometry="b", plane=Shape("a"))
@@ -155,7 +155,7 @@ def test_an_impact_is_that_of_a_contact_by_hand():
     np.testing.assert_allclose(turned.impulse_world, -hit.impulse_world, atol=1e-13)
 
 
-def test_a_ball_rolls_over_an_edge_until_it_slips():
+def test_ball_rolls_over_edge_until_it_slips():
     mass, radius, mu, speed = 1.0, 0.1, 0.8, 0.5
     robot = shaped_body(coal.Sphere(radius), pin.Inertia.FromSphere(mass, radius), name="ball")
     contact = Contact(geometry="ball", plane=BLOCK, friction=mu)
@@ -166,7 +166,7 @@ def test_a_ball_rolls_over_an_edge_until_it_slips():
         1.0,
     )
 
-    # about the edge: I ω²/2 + m g r cos θ is kept, with I = 7/5 m r²
+    # about the edge I ω²/2 + m g r cos θ is constant, with I = 7/5 m r²
     def slips(theta):
         omega_squared = (speed / radius) ** 2 + 10.0 / 7.0 * G / radius * (1.0 - math.cos(theta))
         normal = G * math.cos(theta) - radius * omega_squared
@@ -178,22 +178,22 @@ def test_a_ball_rolls_over_an_edge_until_it_slips():
     assert q[0] == pytest.approx(0.5 + radius * math.sin(theta), abs=1e-8)
     assert q[2] == pytest.approx(0.5 + radius * math.cos(theta), abs=1e-8)
     assert not trajectory.impacts
-    assert deepest(robot, [contact], trajectory) < 1e-8
+    assert deepest_penetration(robot, [contact], trajectory) < 1e-8
 
 
-def test_a_plank_slides_on_an_edge_without_friction():
+def test_plank_slides_on_frictionless_edge():
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.01, 0.2, 0.2]))
     robot = shaped_body(coal.Box(2.0, 0.2, 0.2), inertia, name="plank")
     ridge = Box(size=(0.2, 2.0, 0.2), rpy=(0.0, math.pi / 4, 0.0), name="ridge")
     contact = Contact(geometry="plank", plane=ridge)
     height = 0.2 * math.sqrt(2.0)
     q = pose(0.1, 0.0, height, math.pi / 4)
-    v = np.array([0.3, 0.0, 0.0, 0.0, 0.2, 0.2])  # it turns about the vertical
+    v = np.array([0.3, 0.0, 0.0, 0.0, 0.2, 0.2])  # with rotation about the vertical
     trajectory = run(Scene(robot, contacts=contact), q, v, 0.25)
     assert [mode.mode for mode in trajectory.modes] == ["slip"]
     energy = trajectory.energy.kinetic + trajectory.energy.potential
     np.testing.assert_allclose(energy, energy[0], atol=1e-8)
-    assert deepest(robot, [contact], trajectory) < 1e-8
+    assert deepest_penetration(robot, [contact], trajectory) < 1e-8
     assert trajectory.forces("plank on ridge", 0.1)[2] > 0.0
     data = robot.model.createData()
     (pair,) = (shape_pair(robot, contact),)
@@ -202,8 +202,8 @@ def test_a_plank_slides_on_an_edge_without_friction():
         assert abs(gap(*pair.placed(data)).value) < 1e-8
 
 
-def test_a_ball_slides_off_a_dome_where_the_tolerance_is_loose():
-    """What the contact point drifts within a step is no overlap beyond it. It leaves at cos θ = ⅔ cos θ₀."""
+def test_ball_slides_off_dome_at_loose_tolerance():
+    """Constraint drift within a step must not count as penetration. The ball leaves at cos θ = ⅔ cos θ₀."""
     ball = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1), name="ball")
     dome = pin.GeometryObject("dome", 0, pin.SE3.Identity(), coal.Sphere(0.3))
     ball.collision_model.addGeometryObject(dome)
@@ -217,23 +217,23 @@ def test_a_ball_slides_off_a_dome_where_the_tolerance_is_loose():
     assert v[:3] @ v[:3] == pytest.approx(2.0 / 3.0 * math.cos(0.2) * G * 0.4, rel=1e-4)
 
 
-def test_a_box_slides_off_a_table():
+def test_box_slides_off_table():
     robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="brick")
     contact = Contact(geometry="brick", plane=BLOCK)
     trajectory = run(
         Scene(robot, contacts=contact), pose(0.25, 0.0, 0.55), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.35
     )
-    # it begins to tip as its centre passes the edge, and not before: then the trailing corners open
+    # it tips when its centre passes the edge: then the rear contacts open
     ends = sorted(mode.end for mode in trajectory.modes)
     np.testing.assert_allclose(ends[:2], 0.25, atol=1e-7)
     before, after = trajectory.at(0.25 - 1e-6), trajectory.at(0.26)
     assert abs(before[1][4]) < 1e-9
     assert after[1][4] > 1e-3
     assert before[0][2] == pytest.approx(0.55, abs=1e-9)
-    assert deepest(robot, [contact], trajectory) < 1e-8
+    assert deepest_penetration(robot, [contact], trajectory) < 1e-8
 
 
-def test_a_slab_rests_on_a_smaller_block(tmp_path):
+def test_slab_rests_on_smaller_block(tmp_path):
     robot = shaped_body(coal.Box(1.0, 1.0, 0.2), pin.Inertia.FromBox(2.0, 1.0, 1.0, 0.2), name="slab")
     contact = Contact(geometry="slab", plane=Box(size=(0.5, 0.4, 1.0), name="post"), friction=0.5)
     scene = Scene(robot, contacts=contact)
@@ -255,7 +255,7 @@ def test_a_slab_rests_on_a_smaller_block(tmp_path):
     assert shown["size"] == [0.5, 0.4, 1.0]
 
 
-def test_a_capsule_meets_a_sphere_that_is_carried():
+def test_capsule_hits_sphere_fixed_to_a_body():
     robot = two_bodies(coal.Capsule(0.1, 0.6), coal.Sphere(0.2))
     by_surface = Contact(geometry="a", plane=Sphere((0.0, 0.0, 0.0), 0.2, body="link1"), restitution=1.0)
     by_shape = Contact(geometry="a", plane=Shape("b"), restitution=1.0)
@@ -266,7 +266,7 @@ def test_a_capsule_meets_a_sphere_that_is_carried():
     assert np.abs(ends[0] - v).max() > 0.1
 
 
-def test_the_gap_of_two_shapes_is_their_distance():
+def test_gap_of_two_shapes_is_their_distance():
     boxes = two_bodies(coal.Box(0.2, 0.2, 0.2), coal.Box(0.4, 0.4, 0.4))
     balls = two_bodies(coal.Sphere(0.1), coal.Box(0.4, 0.4, 0.4))
     shape, block = Shape("b"), Box((0.4, 0.4, 0.4))
@@ -284,7 +284,7 @@ def test_the_gap_of_two_shapes_is_their_distance():
         Contact(geometry="a", plane=block).tips(balls)
 
 
-def test_a_stepper_goes_on_from_a_copy():
+def test_copy_of_stepper_continues():
     robot = shaped_body(coal.Box(0.3, 0.4, 0.5), pin.Inertia.FromBox(1.0, 0.3, 0.4, 0.5), name="crate")
     scene = Scene(robot, contacts=Contact(geometry="crate", plane=BLOCK, friction=0.4))
     stepper = pinimpact.Stepper(scene, pose(0.1, 0.0, 0.85, 0.3, 0.2), np.zeros(6))
@@ -296,7 +296,7 @@ def test_a_stepper_goes_on_from_a_copy():
 
 
 @pytest.mark.parametrize("over", [1e-2, 1e-5, -1e-5])
-def test_the_tip_of_a_spinning_rod_grazes_a_wall_within_a_step(over):
+def test_tip_of_spinning_rod_grazes_wall_within_a_step(over):
     spin, reach = 10.0, 0.6
     round_ = pin.Inertia(1.0, np.zeros(3), 0.02 * np.eye(3))
     robot = shaped_body(coal.Capsule(0.1, 1.0), round_, name="rod")
@@ -308,21 +308,21 @@ def test_the_tip_of_a_spinning_rod_grazes_a_wall_within_a_step(over):
     )
     if over < 0.0:
         assert not found.impacts
-    else:  # 0.5 sin(ω t) + 0.1 is the wall's place
+    else:  # the wall is at 0.5 sin(ω t) + 0.1
         time = math.asin((reach - over - 0.1) / 0.5) / spin
         assert found.impacts[0].time == pytest.approx(time, abs=1e-4)
         assert np.diff(found.t).max() > 2.0 * (0.5 * math.pi / spin - time)
 
 
 def peaks(step):
-    """(2, nv) what |v| and |v̇| do not exceed in a step, as sampled."""
+    """Return sampled bounds (2, nv) of |v| and |v̇| in a step."""
     times = np.linspace(step.start, step.start + step.h, 40)
     v = np.array([step.at(t)[1] for t in times])
     return np.array([np.abs(v).max(axis=0), np.abs(np.diff(v, axis=0)).max(axis=0) / (times[1] - times[0])])
 
 
-def test_pairs_that_are_said_to_stay_apart_do():
-    """Against coal's distance, where an arm swings beside a block; and most are told at once."""
+def test_pairs_reported_as_apart_stay_apart():
+    """Compare with coal for an arm that swings beside a block; most pairs are reported at once."""
     robot = pinimpact.load_robot("panda")
     block = Box(size=(0.1, 0.1, 0.1), center=(-0.3, 0.3, 0.4), name="block")
     scene = Scene(robot).contacts_from_geometry(block)
@@ -352,7 +352,7 @@ def test_pairs_that_are_said_to_stay_apart_do():
     assert told > 0.95 * len(pairs) * len(steps)
 
 
-def test_wrong_pairs_are_refused():
+def test_invalid_pairs_raise():
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
     on_block = Contact(geometry="crate", plane=BLOCK)
     with pytest.raises(InputError, match=r"'crate' starts 0\.15 m inside 'block'"):
@@ -386,7 +386,7 @@ def test_wrong_pairs_are_refused():
         Scene(robot.model, contacts=on_block)
 
 
-def test_pairs_out_of_reach_are_left_out():
+def test_pairs_out_of_reach_are_excluded():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 1.0), pin.SE3.Identity())
@@ -406,7 +406,7 @@ def test_pairs_out_of_reach_are_left_out():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [8, 19, 24, 28, 30])
-def test_random_drops_never_sink_in_nor_gain_energy(seed):
+def test_random_drops_without_penetration_or_energy_gain(seed):
     rng = np.random.default_rng(seed)
     kinds = (
         lambda: coal.Box(*rng.uniform(0.1, 0.6, 3)),
@@ -420,12 +420,12 @@ def test_random_drops_never_sink_in_nor_gain_energy(seed):
     contacts.append(Contact(geometry="a", plane=Shape("b"), **material))
     q = np.concatenate([pose(*rng.uniform(-0.2, 0.2, 2), z, *rng.uniform(-3.0, 3.0, 3)) for z in (0.9, 1.8)])
     trajectory = run(Scene(robot, contacts=contacts), q, rng.normal(size=12), 0.8)
-    assert deepest(robot, contacts, trajectory) < 1e-7
+    assert deepest_penetration(robot, contacts, trajectory) < 1e-7
     energy = trajectory.energy.kinetic + trajectory.energy.potential
     assert np.diff(energy).max() < 1e-6 * energy[0]
 
 
-def test_a_corner_that_stays_on_a_corner_is_refused():
+def test_corner_resting_on_corner_raises():
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
     tilted = Box(size=(1.0, 1.0, 1.0), rpy=(math.pi / 4, math.atan(math.sqrt(0.5)), 0.0), name="tip")
     scene = Scene(robot, contacts=Contact(geometry="crate", plane=tilted))
@@ -435,7 +435,7 @@ def test_a_corner_that_stays_on_a_corner_is_refused():
         pinimpact.simulate(scene, q, np.zeros(6), 0.5, scheme="event-driven")
 
 
-def test_coefficients_of_a_scenes_contacts_can_be_replaced():
+def test_coefficients_of_contacts_can_be_replaced():
     robot = two_bodies(coal.Box(0.2, 0.2, 0.2), coal.Box(0.2, 0.2, 0.2))
     contact = Contact(geometry="a", plane=Shape("b"), friction=0.3, restitution=0.0)
     scene = Scene(robot, [contact])
