@@ -22,7 +22,7 @@ def rng(request):
 
 
 def hit_and_ledger(model, q, v, contact):
-    """The impact, and Pinocchio's energies before and after against the ledger."""
+    """Compute an impact and compare its work with Pinocchio's energies before and after."""
     data = model.createData()
     hit = pinimpact.impact(model, data, q, v, contact)
     work = hit.solution.work
@@ -48,7 +48,7 @@ def test_10_energy_of_robots(name, rng):
 
 @pytest.mark.parametrize("name", ["solo12", "talos"])
 def test_10_the_placement_of_the_base_does_not_matter(name, rng):
-    """Carry robot and plane elsewhere: joint velocities and base velocity, in its own axes, stay."""
+    """Moving robot and plane together changes neither joint velocities nor the base velocity in base axes."""
     model = pinimpact.load_robot(name).model
     q, v = cases.random_state(model, rng)
     plane = cases.random_plane(rng)
@@ -69,7 +69,7 @@ def test_10_the_placement_of_the_base_does_not_matter(name, rng):
 
 
 def chain(masses, lengths=None, axes="YZ", inertia=0.01):
-    """A chain of rods whose axes take turns; `inertia` is each one's about its centre over its m l²."""
+    """Return a chain of rods with alternating axes; `inertia` is that of a rod about its centre over m l²."""
     model = pin.Model()
     parent = 0
     lengths = np.full(len(masses), 0.2) if lengths is None else lengths
@@ -101,7 +101,7 @@ def test_10_a_chain_of_sixty_joints(rng):
 
 @pytest.mark.parametrize("masses", [np.logspace(4, -4, 8), np.logspace(-4, 4, 8), [1, 1e-8, 1, 1e8]])
 def test_10_inertia_ratios_of_1e8_along_a_chain(masses, rng):
-    """The mass matrix is of condition 1e8 and more; energy says what is left of it."""
+    """The condition number of the mass matrix is at least 1e8; the energy balance shows its accuracy."""
     model = chain(np.asarray(masses, dtype=float))
     for _ in range(5):
         hit_and_ledger(model, *struck(model, rng))
@@ -115,14 +115,14 @@ def test_10_links_with_nearly_no_inertia(inertia, rng):
 
 
 def test_10_a_mass_matrix_that_is_singular_is_named(rng):
-    """A last link without any inertia: its joint has nothing to turn, and the message says which."""
+    """The last link has no inertia; the message names its joint."""
     model = chain([1.0, 1.0, 0.0])
     with pytest.raises(pinimpact.ModelError, match="joint2"):
         pinimpact.impact(model, model.createData(), *struck_blindly(model, rng))
 
 
 def head(apart):
-    """A free body and a point mass on a neck of three axes, the last a little beside where others meet."""
+    """Return a body with a point mass on three axes, one `apart` from the intersection of the others."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(3.0, 0.3, 0.2, 0.1), pin.SE3.Identity())
@@ -140,7 +140,7 @@ def head(apart):
 
 
 def test_10_joints_that_together_move_no_inertia_are_named():
-    """A point mass does not resist a turn about the line to where its axes meet; each pivot is positive."""
+    """A point mass has no inertia about the line to the intersection of axes; all pivots are positive."""
     contact = pinimpact.Contact("tip", pinimpact.Plane(), friction=0.3)
     v = np.array([0.2, 0.0, -1.0, *np.zeros(6)])
     for apart in (0.0, 1e-8):
@@ -162,7 +162,7 @@ def struck_blindly(model, rng):
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e3, 1e6])
 def test_9_lengths_from_micrometres_to_kilometres(scale, rng):
-    """The same chain s times as long: joint rates after the impact are those of the small one."""
+    """A chain scaled by s has the same joint velocities after the impact."""
     model, scaled = chain(np.ones(4)), chain(np.ones(4), np.full(4, 0.2 * scale))
     q, v, contact = struck(model, rng)
     small = pinimpact.impact(model, model.createData(), q, v, contact)
@@ -172,7 +172,7 @@ def test_9_lengths_from_micrometres_to_kilometres(scale, rng):
 
 
 def test_8_full_extension_hit_along_the_arm():
-    """A chain stretched out cannot yield along itself: W loses rank, and a hit along it cannot be stopped."""
+    """A stretched chain cannot yield along itself: W is singular, and an approach along it is unstoppable."""
     model = chain(np.ones(3), axes="Y")
     plane = pinimpact.Plane(point=(0.6, 0, 0), normal=(-1, 0, 0))
     contact = pinimpact.Contact("tip", plane, friction=0.3, restitution=0.5)
@@ -180,7 +180,7 @@ def test_8_full_extension_hit_along_the_arm():
     assert np.linalg.matrix_rank(matrices.delassus) == 1
     away = pinimpact.impact(model, model.createData(), np.zeros(3), np.ones(3), contact)
     assert away.solution.status == Status.NO_IMPACT  # all of its velocity is along the plane
-    for bend in (1e-3, 1e-6):  # nearly stretched out it yields, ever more stiffly
+    for bend in (1e-3, 1e-6):  # nearly stretched, with a decreasing response
         q = np.array([-bend, 2 * bend, -bend])
         contact = pinimpact.Contact("tip", plane, friction=0.0, restitution=0.5)
         v = np.array([1.0, -2.0, 1.0])
@@ -197,7 +197,7 @@ def test_8_arms_stretched_out(name, rng):
 
 
 def test_8_a_frame_on_the_base():
-    """W = 0: nothing moves, so there is never an impact; under a surface that comes in, nothing can yield."""
+    """W = 0: a fixed frame has no impact, and the approach of a moving surface is unstoppable."""
     model = pinimpact.load_robot("panda").model
     v = np.ones(model.nv)
     still = pinimpact.Contact("panda_link0", pinimpact.Plane(), friction=0.3, restitution=0.5)
@@ -217,7 +217,7 @@ def test_8_a_frame_on_the_base():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_8_the_pendulum_as_pinocchio_forms_it(law, rng):
-    """A spherical pendulum: rank two, with an eigenvalue of rounding size and random sign."""
+    """A spherical pendulum: W has rank two, and an eigenvalue of the order of rounding of either sign."""
     model = chain([0.0, 1.0], [0.0, 1.0], axes="ZY", inertia=1 / 12)
     smallest = []
     for _ in range(30):

@@ -1,4 +1,4 @@
-"""Robots and scenes that touch at several points at one instant."""
+"""Robots and scenes with simultaneous impacts at several contacts."""
 
 import numpy as np
 import pinocchio as pin
@@ -14,14 +14,14 @@ FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 
 def mirrored(inertia):
-    """The inertia of what a mirror in the plane y = 0 shows."""
+    """Return an inertia mirrored at the plane y = 0."""
     flip = np.diag([1.0, -1.0, 1.0])
     return pin.Inertia(inertia.mass, flip @ inertia.lever, flip @ inertia.inertia @ flip)
 
 
 @pytest.fixture(scope="module")
 def quadruped():
-    """solo12 with its right side made the image of its left one, above its feet."""
+    """Return solo12 above its feet, with the right side replaced by the mirror image of the left one."""
     robot = pinimpact.load_robot("solo12")
     model = robot.model.copy()
     for left, right in (("FL", "FR"), ("HL", "HR")):
@@ -46,7 +46,7 @@ def feet(**how):
 
 
 @pytest.mark.parametrize("e", [0.0, 0.5])
-def test_a_landing_is_mirror_symmetric_in_any_numbering(quadruped, e):
+def test_landing_is_mirror_symmetric_in_any_numbering(quadruped, e):
     model, q = quadruped
     v = np.zeros(model.nv)
     v[[0, 2, 4]] = 0.3, -1.0, 0.2
@@ -73,7 +73,7 @@ def test_momentum_and_energy(quadruped):
     assert change < 0.0
 
 
-def test_one_contact_in_a_list_is_what_it_is_alone(quadruped):
+def test_list_of_one_contact_equals_single_contact(quadruped):
     model, q = quadruped
     v = np.random.default_rng(2).normal(size=model.nv)
     v[2] = -2.0
@@ -97,7 +97,7 @@ def test_locked_joints_and_held_contacts(quadruped):
 
 
 def test_contacts_and_joint_stops_by_dense_algebra(quadruped):
-    """W and what impulses do, with a joint that is locked and stops of others, from M⁻¹ of what can move."""
+    """Compare W and velocity changes, with a locked joint and joint limits, with M⁻¹ of the free joints."""
     model, q = quadruped
     rng = np.random.default_rng(3)
     q, v = pin.integrate(model, q, rng.normal(size=model.nv)), rng.normal(size=model.nv)
@@ -123,12 +123,12 @@ def test_contacts_and_joint_stops_by_dense_algebra(quadruped):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_who_feels_whom(seed):
-    """The contacts of one block of a matrix that falls into blocks, whatever their order."""
+def test_coupled_contacts_of_block_matrix(seed):
+    """Find the contacts of one block of a block-diagonal matrix, in any order."""
     rng = np.random.default_rng(seed)
     n = 9
     block = rng.integers(0, 3, n)
-    chain = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) <= 4  # felt through others
+    chain = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) <= 4  # coupled through others
     feels = chain & (block[:, None] == block)
     w = np.kron(feels, np.ones((3, 3))) * rng.normal(size=(3 * n, 3 * n)) + 10.0 * np.eye(3 * n)
     w += 1e-15 * rng.normal(size=w.shape)
@@ -140,8 +140,8 @@ def test_who_feels_whom(seed):
 
 
 @pytest.mark.parametrize("e", [0.0, 0.6])
-def test_what_is_only_lifted_has_no_part(e):
-    # against the solution of all: velocities are the same without it, and it has no impulse
+def test_contacts_that_are_only_lifted_are_excluded(e):
+    # compare with the solution for all contacts: equal velocities, and zero impulse at this contact
     rng, left_out = np.random.default_rng(3), 0
     for _ in range(30):
         n = 3
@@ -165,8 +165,8 @@ def test_what_is_only_lifted_has_no_part(e):
     assert left_out >= 5
 
 
-def test_a_standing_quadruped_that_is_struck(quadruped):
-    # resting feet take part: they push, never pull, and those that are not pressed lift
+def test_standing_quadruped_is_struck(quadruped):
+    # resting feet are part of the impact: their impulses are unilateral, and unloaded feet lift off
     model, q = quadruped
     v = np.zeros(model.nv)
     v[model.joints[model.getJointId("FL_HFE")].idx_v] = -3.0
@@ -175,9 +175,9 @@ def test_a_standing_quadruped_that_is_struck(quadruped):
     assert (hit.solution.velocity[:, 2] >= -1e-9).all()
 
 
-def test_corners_above_a_plane_move_along_it_as_one_body(quadruped):
-    # corners closed to a tolerance have gaps of their own; the points below them are in one plane, where the
-    # velocities of a body are those of three coordinates, and those of its corners but for what gaps make
+def test_corners_with_small_gaps_have_rigid_tangential_velocities(quadruped):
+    # corners closed up to a tolerance have different gaps. The points below them are in one plane, where
+    # tangential velocities of a body have three coordinates; those of its corners differ by effects of gaps.
     model, q = quadruped
     data = model.createData()
     tilted = pin.integrate(model, q, np.r_[0.0, 0.0, 0.0, 1e-7, -2e-7, np.zeros(model.nv - 5)])
@@ -202,8 +202,8 @@ def test_corners_above_a_plane_move_along_it_as_one_body(quadruped):
 
 @pytest.mark.parametrize("friction", [0.1, 0.6, 1.0])
 @pytest.mark.parametrize("e", [0.0, 0.2, 0.8])
-def test_a_rigid_body_on_four_feet(quadruped, friction, e):
-    # twelve rows of rank six: forces are not unique, the outcome is, and it is its own mirror image
+def test_rigid_body_on_four_feet(quadruped, friction, e):
+    # twelve rows of rank six: impulses are not unique, but the velocity is, and it is mirror symmetric
     model, q = quadruped
     v = np.zeros(model.nv)
     v[2] = -1.0
@@ -212,7 +212,7 @@ def test_a_rigid_body_on_four_feet(quadruped, friction, e):
         v[4] = pitch
         contacts = feet(friction=friction, restitution=e)
         hit = pinimpact.impact(model, model.createData(), q, v, contacts, locked=list(model.names)[2:])
-        # what redundant contacts do as they begin to slip together is integrated by adaptive steps, to 1e-7
+        # simultaneous incipient slip of redundant contacts is integrated by adaptive steps, to 1e-7
         assert all("integrated by adaptive steps" in note for note in hit.solution.notes)
         digits = 1e-6 if hit.solution.notes else 1e-8
         assert np.abs(hit.v[[1, 3, 5]]).max() < digits
@@ -254,7 +254,7 @@ def landing(quadruped):
     return model, q
 
 
-def test_a_flat_landing_stays_symmetric(landing):
+def test_flat_landing_stays_symmetric(landing):
     model, q = landing
     scene = Scene(model, contacts=feet(restitution=0.5))
     motion = simulate(scene, q, np.zeros(model.nv), 0.13)
@@ -263,12 +263,12 @@ def test_a_flat_landing_stays_symmetric(landing):
     assert {impact.source for impact in first} == {contact.label for contact in scene.contacts}
     assert len({impact.time for impact in first}) == 1
     assert all(impact.simultaneous for impact in first)
-    assert np.abs(motion.q[-1][[1]]).max() < 1e-9  # no way to the side
+    assert np.abs(motion.q[-1][[1]]).max() < 1e-9  # no lateral motion
     assert np.abs(motion.v[-1][[1, 3, 5]]).max() < 1e-7
     assert np.abs(motion.energy.residual).max() < 1e-8
 
 
-def test_records_of_an_impact_at_many(landing, tmp_path):
+def test_records_of_impact_at_several_contacts(landing, tmp_path):
     model, q = landing
     motion = simulate(Scene(model, contacts=feet(restitution=0.5)), q, np.zeros(model.nv), 0.11)
     mass = pin.crba(model, model.createData(), motion.impacts[0].q)
@@ -287,8 +287,8 @@ def test_records_of_an_impact_at_many(landing, tmp_path):
         assert np.array_equal(here.impulse_world, there.impulse_world)
 
 
-def test_what_is_far_apart_is_resolved_alone():
-    # two balls in one model that feel nothing of each other
+def test_uncoupled_impacts_are_resolved_separately():
+    # two uncoupled balls in one model
     model = pin.Model()
     for name in ("one", "other"):
         joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
@@ -309,11 +309,11 @@ def test_policies_of_scenes_differ(landing):
         after[policy] = motion.v[-1]
         assert repr(policy) in str(scene.plan())
     assert np.abs(after["propagate"][[1, 3, 5]]).max() < 1e-9
-    assert np.abs(after["sequence"][[1, 3, 5]]).max() > 1e-4  # one foot after the other
+    assert np.abs(after["sequence"][[1, 3, 5]]).max() > 1e-4  # successive impacts of feet
 
 
-def test_impacts_one_after_another_that_do_not_end_come_to_their_limit():
-    # a point in a slot that narrows by two degrees: what is left of its velocity is that along the slot
+def test_infinite_sequence_of_impacts_reaches_its_limit():
+    # a point in a slot that narrows by 2°: in the limit only the velocity along the slot remains
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "point")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -337,7 +337,7 @@ def test_impacts_one_after_another_that_do_not_end_come_to_their_limit():
     assert lost == pytest.approx(-0.5 * (0.3**2 + 1.0), abs=1e-9)
 
 
-def test_a_replay_shows_all_contacts_of_an_impact_at_once(landing):
+def test_replay_shows_all_contacts_of_a_simultaneous_impact(landing):
     from pinimpact.visual.impact_marks import impact_mark
 
     model, q = landing

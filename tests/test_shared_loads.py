@@ -1,4 +1,4 @@
-"""Contacts that share their load in several ways: the limit of small equal compliances, by both schemes."""
+"""Non-unique load distributions: the limit of small equal compliances, by both schemes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ INERTIA = (SIZE[0] ** 2 + SIZE[1] ** 2) / 12.0
 
 
 def box(push):
-    """Return the scene of a box of 1 kg on a floor, pushed by a force along its x axis and a torque."""
+    """Return a scene of a box of 1 kg on a floor, pushed by a force along its x axis and a torque."""
     model, shapes = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, *SIZE), pin.SE3.Identity())
@@ -43,7 +43,7 @@ def on_springs(push, start):
         c, s = np.cos(y[2]), np.sin(y[2])
         arms = CORNERS[:, :2] @ np.array([[c, s], [-s, c]])
         slip = y[3:5] + y[5] * np.column_stack([-arms[:, 1], arms[:, 0]])
-        drag = -MU * slip / np.linalg.norm(slip, axis=1)[:, None]  # of one newton of load
+        drag = -MU * slip / np.linalg.norm(slip, axis=1)[:, None]  # per newton of load
         height = -CORNERS[0, 2]
         loads = np.linalg.solve(
             [
@@ -71,7 +71,7 @@ def on_springs(push, start):
         ((8.0, 0.6), (0.01, 0.0, 0.3)),
     ],
 )
-def test_a_box_slides_and_turns_as_on_four_stiff_springs(push, start):
+def test_box_slides_and_rotates_as_on_four_stiff_springs(push, start):
     wanted = on_springs(push, start)
     scene, q0 = box(push), np.array([0, 0, 0.05, *UP])
     v0 = np.array([*start[:2], 0, 0, 0, start[2]])
@@ -96,11 +96,11 @@ def pose(run):
 
 
 @pytest.mark.parametrize(("scheme", "known"), [("event-driven", 1e-9), ("time-stepping", 3e-3)])
-def test_a_face_that_pushes_a_sliding_box_bears_what_its_friction_can(scheme, known):
-    """A pusher on a rail, of 1 kg, drives a box of 2 kg ahead of it as both slow down by the box's friction.
+def test_pusher_supports_sliding_box_up_to_its_friction_limit(scheme, known):
+    """A pusher of 1 kg on a rail pushes a box of 2 kg while friction of the box decelerates both.
 
-    On equal springs the box sinks until the floor bears its weight, and slides down the pusher meanwhile,
-    whose friction μ' m' a, all it can be, takes off as much: (m + m') a = μ (m g − μ' m' a).
+    On equal springs the box sinks until the floor bears its weight, sliding down the pusher. Friction there
+    is at its limit μ' m' a and supports part of the weight: (m + m') a = μ (m g − μ' m' a).
     """
     mu, between, shapes, model = 0.4, 0.3, pin.GeometryModel(), pin.Model()
     for name, kind, mass, size, x in (
@@ -130,11 +130,11 @@ def test_a_face_that_pushes_a_sliding_box_bears_what_its_friction_can(scheme, kn
 @pytest.mark.parametrize("speed", [0.0, 2.0])
 @pytest.mark.parametrize("length", [1.0, 1000.0])
 @pytest.mark.parametrize("by_stop", [False, True])
-def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, speed, length, by_stop):
-    """An arm on a rail, whose hinge dry friction or a stop holds and whose end slides or rests on a floor.
+def test_contact_and_held_joint_share_load_like_equal_springs(scheme, speed, length, by_stop):
+    """An arm on a rail: dry friction or a joint limit holds its hinge; its end slides or rests on a floor.
 
-    A force F at the end and τ at the hinge balance the weight, F L + τ = m g L/2. Equal springs share it as
-    F² + (τ/ρ)² is least, ρ the radius of gyration about the hinge, whatever the unit of length.
+    A force F at the end and a torque τ at the hinge balance the weight, F L + τ = m g L/2. Equal springs
+    minimize F² + (τ/ρ)², where ρ is the radius of gyration about the hinge, in any unit of length.
     """
     model = pin.Model()
     rail = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
@@ -152,7 +152,7 @@ def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, spee
     start, t = np.array([speed * length, 0.0]), 0.1
     scene = Scene(model, [Contact("end", Plane(), friction=MU, name="end")])
     run = simulate(scene, np.zeros(2), start, t, scheme=scheme, atol=1e-10 * length)
-    square = 0.1 + 0.25  # of ρ/L
+    square = 0.1 + 0.25  # (ρ/L)²
     force = 0.5 * G / (1.0 + square)
     assert run.forces("end", 0.5 * t)[2] / length == pytest.approx(force, rel=3e-5)
     assert run.joint_forces([0.5 * t])[0, 1] / length**2 == pytest.approx(-force * square, rel=3e-5)
@@ -161,10 +161,10 @@ def test_a_contact_and_a_joint_at_rest_bear_a_load_as_equal_springs(scheme, spee
 
 
 @pytest.mark.parametrize(("scheme", "known"), [("event-driven", 1e-9), ("time-stepping", 1e-6)])
-def test_a_joint_bears_no_more_than_its_dry_friction_of_a_load_it_shares(scheme, known):
-    """The end of an arm of 1 kg and 1 m slides on a floor, pressed onto it by 10 N for each metre of the way.
+def test_joint_shares_load_up_to_its_dry_friction(scheme, known):
+    """The end of an arm of 1 kg and 1 m slides on a floor, pressed onto it by 10 N per metre of displacement.
 
-    At equal stiffness its hinge would bear more than the bound τ: N = m g/2 − τ + k x, and ẍ = −μ N/m.
+    At equal stiffness its hinge would bear more than its bound τ: N = m g/2 − τ + k x, and ẍ = −μ N/m.
     """
     bound, stiffness, t, start = 1.0, 10.0, 0.2, 2.0
     model = pin.Model()
