@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from pinimpact._compile.threads import MOST_SHARE, in_threads
+from pinimpact._compile.threads import MAX_ROWS, in_threads
 from pinimpact.contact_space._kernels.plastic import impulses_together
 from pinimpact.contact_space._kernels.propagation import propagate
 from pinimpact.contact_space._kernels.propagation_steps import step_through
@@ -94,6 +94,6 @@ def test_a_signal_that_is_handled_changes_nothing():
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_batches_are_solved_in_short_parts(threads):
-    lengths = in_threads(lambda rows: rows.stop - rows.start, 10 * MOST_SHARE, threads)
-    assert sum(lengths) == 10 * MOST_SHARE
-    assert max(lengths) <= MOST_SHARE
+    lengths = in_threads(lambda rows: rows.stop - rows.start, 10 * MAX_ROWS, threads)
+    assert sum(lengths) == 10 * MAX_ROWS
+    assert max(lengths) <= MAX_ROWS

@@ -189,7 +189,7 @@ HELPER_DOES_ALL = """
 pool.WorkerPool.compile_with_others = wait_for(lambda team, job: team._is_locked(job) and team._is_over(job))
 """
 HELPER_DIES = """
-pool._HELP = '''
+pool._CODE = '''
 import os, pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
 from {} import WorkerPool
@@ -250,7 +250,7 @@ def test_what_a_helper_leaves_undone_is_compiled_all_the_same(team: Path) -> Non
     assert answers == [7.0, 130.0, -3.0]
     assert sorted(made) == ["first", "scaled", "second", "shifted", "third"]
     shutil.rmtree(team.parent / "cache")
-    fails = "pool._HELP = 'raise SystemExit(1)'\n"
+    fails = "pool._CODE = 'raise SystemExit(1)'\n"
     assert of_team(team, fails + CALL + NOBODY_IS_LEFT)[0] == [7.0, 130.0, -3.0]
 
 
@@ -268,7 +268,7 @@ def test_an_interrupt_ends_the_helpers(team: Path) -> None:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
     killed = (
-        "pool._HELP += '; import time; time.sleep(300)'\n"
+        "pool._CODE += '; import time; time.sleep(300)'\n"
         "def die(self, jobs):\n    [pid] = self._helpers\n    print(pid, flush=True)\n    os._exit(0)\n"
         "pool.WorkerPool.compile_with_others = die\n"
         "from pinimpact.scene._kernels import entry\n"

@@ -48,8 +48,8 @@ def test_private_names_of_numba_stand_in_one_module_each_with_its_reason() -> No
 def test_a_numba_that_was_not_tried_is_used_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(plain.VARIABLE, raising=False)
     assert plain.reason((0, 61)) == plain.reason((0, 68)) == ""
-    assert "numba 0.60 has not been tried" in plain.reason((0, 60))
-    assert "numba 1.0 has not been tried" in plain.reason((1, 0))
+    assert "numba 0.60 has not been tested" in plain.reason((0, 60))
+    assert "numba 1.0 has not been tested" in plain.reason((1, 0))
     monkeypatch.setattr(plain, "MISSING", "no JITCodeLibrary")
     assert "no JITCodeLibrary" in plain.reason()
     monkeypatch.setenv(plain.VARIABLE, "1")

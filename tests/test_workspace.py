@@ -98,7 +98,7 @@ def test_python_sets_numbers_and_counts_but_no_sizes_and_no_arrays():
     work = sample()
     work.active, work.factor, work.ready = 4, 0.25, True
     assert (work.active, work.factor, work.ready) == (4, 0.25, True)
-    with pytest.raises(ValueError, match="active: 5 set, at most rows = 4"):
+    with pytest.raises(ValueError, match="active: 5 given, 0 to rows = 4 expected"):
         work.active = 5
     with pytest.raises(AttributeError, match="rows cannot be set"):
         work.rows = 7
@@ -263,7 +263,7 @@ def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
     work.flat[:] = np.arange(12.0).reshape(2, 2, 3)
     before = total_of(work)
     other = work.other
-    with pytest.raises(ValueError, match="active: 3 set, at most room = 2"):
+    with pytest.raises(ValueError, match="active: 3 given, 0 to room = 2 expected"):
         work.active = 3
     values = work.values()
     work.enlarge({"room": 5})

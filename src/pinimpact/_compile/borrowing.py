@@ -1,8 +1,8 @@
 """Arrays whose references are not counted, for kernels that access them often.
 
 numba counts references to an array at each slice and each copy of a tuple that holds it, by atomic
-operations of some 5 ns. A kernel that borrows its arguments at its start avoids this: the caller owns them
-for the length of the call.
+operations of about 5 ns. A kernel that borrows its arguments at its start avoids this: the caller owns them
+for the duration of the call.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numba.extending import lower_builtin, type_callable
 def borrowed(array: Any) -> Any:
     """Return an array argument of a kernel, or a tuple of them, without reference counts.
 
-    Only for arguments: numba frees the arrays that a kernel allocates after their last use. Neither the array
-    nor a part of it may be returned.
+    For arguments only: numba frees the arrays that a kernel allocates after their last counted use. Neither
+    the array nor a part of it may be returned.
     """
     return array
 

@@ -1,6 +1,6 @@
-"""Kernels cached on disk: by name and types, and by the code from which they are compiled; see `sources`.
+"""Disk cache of kernels, keyed by name, argument types and a hash of the code (`sources`).
 
-A kernel that is not in the cache may be in the wheel, compiled for all usual processors; see `portable`.
+A kernel that is not in the cache may be in the wheel, compiled for the processors of `portable`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .waiting import LOG, SHORT
 
 
 class _Stamped:
-    """The cache location of a kernel: by its name, and by the code from which it is compiled."""
+    """Cache location of a kernel, valid for one hash of its code."""
 
     _module: str
 
@@ -52,13 +52,12 @@ class _CacheImpl(CompileResultCacheImpl):
         return type(result.library), library, result.fndesc, result.environment, result.signature, envs
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        made, state, fndesc, env, signature, envs = payload
-        if not fndesc.uid.startswith(
-            symbol_stamp(fndesc.modname)
-        ):  # written late, by a process that ran on other code
+        library_type, state, fndesc, env, signature, envs = payload
+        # a process that imported another version of the code may have written the file
+        if not fndesc.uid.startswith(symbol_stamp(fndesc.modname)):
             return None
         codegen = target_context.codegen()
-        library = made.load(codegen, state)
+        library = library_type.load(codegen, state)
         entry = library.entry(target_context, fndesc, env)
         for one in envs:
             codegen.set_env(one.env_name, one)
@@ -85,12 +84,12 @@ class _DiskCache(FunctionCache):
         try:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
-        except Exception:  # pickle may raise any where a file is damaged
+        except Exception:  # unpickling a damaged file may raise any
             self.flush()
             return None
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return sig, codegen.magic_tuple()  # the stamp covers the code
+        return sig, codegen.magic_tuple()  # the stamp already depends on the code
 
     def knows(self, types: Any, codegen: Any) -> bool:
         try:
@@ -119,11 +118,11 @@ class _WheelCache(_DiskCache):
         return sig, (machine, portable.processor(), "")
 
     def flush(self) -> None:
-        """Leave the files as they are."""
+        """Do nothing: the files of a wheel are not changed."""
 
 
 class _NoWheel(NullCache):
-    """In place of a `_WheelCache`, where its kernels cannot be used."""
+    """An empty cache, used instead of a `_WheelCache` whose kernels cannot run here."""
 
     def knows(self, types: Any, codegen: Any) -> bool:
         return False
@@ -139,7 +138,7 @@ def lock() -> CacheLock | None:
 
 
 def _place() -> None:
-    """A module whose cache folder has the lock."""
+    """Identify the cache folder to be locked: that of this function's module."""
 
 
 _in_session = False
@@ -147,9 +146,9 @@ _in_session = False
 
 @contextmanager
 def session(missing: bool, needless: Callable[[], bool]) -> Iterator[None]:
-    """Compile missing kernels while no other process does; the lock is taken if something is missing.
+    """Hold the lock of the cache folder within the context, if kernels are `missing`.
 
-    There is no need to wait for it once all kernels are cached: then `needless` returns true.
+    Waiting for the lock ends early if `needless` returns true, which means that all kernels are cached.
     """
     global _in_session
     _in_session = True
@@ -165,7 +164,7 @@ def session(missing: bool, needless: Callable[[], bool]) -> Iterator[None]:
 
 
 def _hold_lock(needless: Callable[[], bool] = lambda: False) -> bool:
-    """Take the lock, if a session does not have it; return whether others may have compiled some."""
+    """Wait for the lock of a session; return whether other processes may have cached kernels meanwhile."""
     found = lock()
     if not _in_session or found is None or found.held:
         return False
@@ -183,7 +182,7 @@ def _hold_lock(needless: Callable[[], bool] = lambda: False) -> bool:
 
 
 class KernelCache(NullCache):
-    """The cache of a kernel, opened on first use, since this takes time and most kernels are not used."""
+    """The cache of a kernel, opened on first use: opening takes time, and most kernels are not used."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
@@ -196,7 +195,7 @@ class KernelCache(NullCache):
 
     @property
     def on_disk(self) -> bool:
-        """Whether compiled kernels are kept."""
+        """Whether compiled kernels are stored on disk."""
         return isinstance(self._find(), _DiskCache)
 
     def knows(self, types: Any) -> bool:
@@ -209,7 +208,7 @@ class KernelCache(NullCache):
         if found is None:
             found = self._load(sig, target_context)
         if found is None and pool.present is not None:
-            found = pool.present.of_others(self._job(sig), partial(self._load, sig, target_context))
+            found = pool.present.load_from_others(self._job(sig), partial(self._load, sig, target_context))
         elif found is None and _hold_lock():
             found = self._load(sig, target_context)
         return found
@@ -230,12 +229,12 @@ class KernelCache(NullCache):
         found = self._find().load_overload(sig, target_context)
         if found is None:
             found = self._find_wheel().load_overload(sig, target_context)
-        if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
+        if found is not None and found.signature.args != tuple(sig):  # two processes chose the same file name
             found = None
         return found
 
     def _find_wheel(self) -> Any:
-        """Return the cache of what came with the package, compiled for processors such as this one."""
+        """Return the cache of the wheel's kernels, which is empty if they cannot run on this processor."""
         if self._wheel is None:
             self._wheel = _NoWheel()
             if portable.runs_here():
@@ -247,6 +246,6 @@ class KernelCache(NullCache):
         if self._disk is None:
             try:
                 self._disk = _DiskCache(self._kernel.py_func)
-            except RuntimeError:  # no writable place at all: compile in every process
+            except RuntimeError:  # no folder is writable: every process compiles
                 self._disk = NullCache()
         return self._disk

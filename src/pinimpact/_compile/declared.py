@@ -30,7 +30,7 @@ K = TypeVar("K")
 FLOATS, FLOAT_ROWS = types.float64[::1], types.float64[:, ::1]
 INTEGERS, INTEGER_ROWS = types.int64[::1], types.int64[:, ::1]
 FLOAT_STACK = types.float64[:, :, ::1]
-FLOAT_VIEW = types.float64[:, :]  # of some columns
+FLOAT_VIEW = types.float64[:, :]  # not contiguous, such as some columns of a matrix
 FLOAT_COLUMNS = types.float64[::1, :]
 FLAGS = types.boolean[::1]
 THREE, FOUR = types.UniTuple(types.float64, 3), types.UniTuple(types.int64, 4)
@@ -43,25 +43,25 @@ FloatStack = Annotated[NDArray[np.float64], FLOAT_STACK]
 Integers = Annotated[NDArray[np.int64], INTEGERS]
 IntegerRows = Annotated[NDArray[np.int64], INTEGER_ROWS]
 Flags = Annotated[NDArray[np.bool_], FLAGS]
-"""Annotations of arrays in a class of `NamedTuple` whose type kernels declare."""
+"""Annotations of array fields of a `NamedTuple` class that occurs in declared signatures."""
 
 _NUMBERS = {float: types.float64, int: types.int64, np.int64: types.int64, bool: types.boolean}
 
 
 class Job(NamedTuple):
-    """A kernel to be compiled."""
+    """A kernel to be compiled for some argument types."""
 
-    module: str  # the kernel, and the types of its arguments
+    module: str
     name: str
     types: tuple[Any, ...]
-    needs: Sequence[int] = ()  # indices of jobs that come first: of inlined code, or of undeclared results
+    needs: Sequence[int] = ()  # indices of jobs to compile before: inlined bitcode, or an undeclared result
 
 
 def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
     """Declare the types of a kernel's arguments, and of its result if callers are to be compiled without it.
 
-    A type is float, int, bool, a class of `NamedTuple` with annotations of these or of arrays (`Floats` …), a
-    class of `Workspace`, or a numba type.
+    A type is float, int, bool, a numba type, a `Workspace` class, or a `NamedTuple` class whose fields are
+    annotated with these or with array types (`Floats`, …).
     """
 
     def declare(kernel: K) -> K:
@@ -73,7 +73,7 @@ def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
 
 
 def numba_type(kind: Any) -> Any:
-    """Return the numba type of a kind."""
+    """Return the numba type of a type that `declared` accepts."""
     if isinstance(kind, types.Type):
         return kind
     if kind in _NUMBERS:
@@ -89,7 +89,7 @@ def numba_type(kind: Any) -> Any:
 
 
 def plain_tuple(kind: Any) -> Any:
-    """Return the type of a plain tuple with the fields of a class of `NamedTuple`."""
+    """Return the type of a plain tuple with the field types of a `NamedTuple` class."""
     return types.BaseTuple.from_types(numba_type(kind).types)
 
 
@@ -99,7 +99,7 @@ def declared_types(kernel: Any) -> tuple[Any, ...]:
 
 
 def declared_result(kernel: Any, types: tuple[Any, ...]) -> Any:
-    """Return the type of a kernel's result, None if it is not declared for these types."""
+    """Return the type of a kernel's result; None if it is not declared for these argument types."""
     result = getattr(kernel, "result", None)
     return None if result is None or types != declared_types(kernel) else numba_type(result)
 
@@ -118,20 +118,21 @@ def kernel_of(job: Job) -> Any:
     return getattr(importlib.import_module(job.module), job.name)
 
 
-def is_part(kernel: Any) -> bool:
-    """Whether the cached code of a kernel is inlined in its callers."""
-    return getattr(kernel, "is_part", False)
+def is_bitcode(kernel: Any) -> bool:
+    """Whether the cached code of a kernel is bitcode that its callers inline."""
+    return getattr(kernel, "is_bitcode", False)
 
 
 def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
-    """Return the jobs for some kernels and their types, those with the most dependants first."""
+    """Return the jobs for pairs (kernel, argument types), those with the longest critical path first."""
     given = dict(wanted)
-    inside: dict[Any, set[Any]] = {}  # what goes into the code of each kernel
-    order: list[Any] = []
+    # each kernel with its callees, through those that are compiled within their callers
+    inside: dict[Any, set[Any]] = {}
+    order: list[Any] = []  # callees before callers
 
     def visit(kernel: Any) -> None:
         if kernel not in inside:
-            inside[kernel] = {kernel}  # at first: what seems to call itself has an attribute of that name
+            inside[kernel] = {kernel}  # set first: an attribute of its own name looks like a call of itself
             for one in callees(kernel.py_func):
                 visit(one)
                 inside[kernel] |= {one} if is_job(one) else inside[one]
@@ -142,33 +143,35 @@ def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
 
     for kernel in given:
         visit(kernel)
-    made = {one: given[one] if one in given else declared_types(one) for one in order if is_job(one)}
+    types_of = {one: given[one] if one in given else declared_types(one) for one in order if is_job(one)}
     needs = {
         one: [
             other
-            for other in made
-            if other in inside[one] - {one} and not declared_result(other, made[other])
+            for other in types_of
+            if other in inside[one] - {one} and not declared_result(other, types_of[other])
         ]
-        for one in made
+        for one in types_of
     }
-    own: dict[Any, int] = {}  # code that is lowered with each
-    whole: dict[Any, int] = {}  # and that is optimized with it
-    for one in made:
+    own: dict[Any, int] = {}  # size of the bytecode that is lowered with each kernel
+    whole: dict[Any, int] = {}  # size of the bytecode that is optimized with it, including inlined bitcode
+    for one in types_of:
         own[one] = sum(
-            len(part.py_func.__code__.co_code) for part in inside[one] if not is_job(part) or part is one
+            len(inner.py_func.__code__.co_code) for inner in inside[one] if not is_job(inner) or inner is one
         )
-        whole[one] = own[one] + sum(whole.get(other, 0) for other in inside[one] - {one} if is_part(other))
-    to_go: dict[Any, int] = {}  # the code on the longest way from each through its callers
-    for one in reversed(made):
-        code = own[one] if is_part(one) else own[one] + whole[one]
-        to_go[one] = code + max((to_go[caller] for caller in to_go if one in needs[caller]), default=0)
-    ordered = sorted(made, key=lambda one: -to_go[one])
+        whole[one] = own[one] + sum(whole.get(other, 0) for other in inside[one] - {one} if is_bitcode(other))
+    critical: dict[Any, int] = {}  # size of the code on the longest path from each kernel through its callers
+    for one in reversed(types_of):
+        code = own[one] if is_bitcode(one) else own[one] + whole[one]
+        critical[one] = code + max(
+            (critical[caller] for caller in critical if one in needs[caller]), default=0
+        )
+    ordered = sorted(types_of, key=lambda one: -critical[one])
     place = {one: k for k, one in enumerate(ordered)}
     return [
         Job(
             one.py_func.__module__,
             one.py_func.__qualname__,
-            made[one],
+            types_of[one],
             [place[other] for other in needs[one]],
         )
         for one in ordered

@@ -1,4 +1,4 @@
-"""Signals during kernels: Ctrl-C, and whatever else a program handles, without waiting for a kernel's end."""
+"""Handling of signals, such as Ctrl-C, while a kernel runs."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def _answer_signals(typing_context):
 
 
 def _in_python() -> None:
-    """Do nothing: the interpreter answers signals itself."""
+    """Do nothing: the interpreter handles signals itself."""
 
 
 answer_signals = _in_python if config.DISABLE_JIT else _answer_signals
-"""Let the program handle signals that have come; an error that its handler raises leaves all kernels.
+"""Handle pending signals; an exception raised by a handler ends all running kernels.
 
-For loops of kernels that can take a second; a call takes nanoseconds. A kernel that an error leaves
-has changed what it has changed, and keeps the memory of its arrays. Not for `jit.released` kernels: the
-global interpreter lock must be held."""
+Call it in loops that can take a second; a call takes nanoseconds. After an exception, output arguments are
+partly written, and arrays that the kernels allocated are not freed. Do not call it in `jit.released`
+kernels: the global interpreter lock must be held."""

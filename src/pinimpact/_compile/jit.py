@@ -1,24 +1,22 @@
 """The decorators of kernels: numba's njit, with each kernel compiled once and cached on disk.
 
-`jit`: called from Python. It is compiled when it is first called.
-`released`: the same, without the global interpreter lock, so that threads can share its work.
-`external`: called by several kernels, not from Python. It is compiled separately, and callers refer to its
-    symbol. The call costs some 2 ns; if the kernel is long, this saves a second of compilation per caller. (A
-    kernel that calls a `jit` does the same.)
-`inlined`: small, or with one caller: its code is inlined in each caller and optimized there.
-`always_inlined`: the same, if it must not remain a call.
-`inlined_bitcode`, `always_inlined_bitcode`: the same, for kernels that take a second to compile; their
+`jit`: for kernels called from Python, compiled on their first call.
+`released`: like `jit`, without the global interpreter lock, so that several threads can call it.
+`external`: for kernels called by several kernels, not from Python. They are compiled separately, and callers
+    refer to their symbols. A call costs about 2 ns; for a long kernel this saves a second of compilation per
+    caller. (Kernels call a `jit` kernel in the same way.)
+`inlined`: for small kernels, or with one caller. Their code is inlined in each caller and optimized there.
+`always_inlined`: like `inlined`, without leaving the decision to LLVM.
+`inlined_bitcode`, `always_inlined_bitcode`: the same for kernels that take a second to compile; their
     bitcode is cached on disk.
 
-Kernels with a declared signature (`declared`) are compiled by several processes at once: see `pool`.
+Kernels with a declared signature (`declared`) are compiled by several processes at once (`pool`).
 
-The cache of a kernel is valid as long as the code from which it was compiled: see `sources`. If no folder is
-writable, every process compiles for itself.
+A cached kernel is valid as long as the code from which it was compiled is unchanged (`sources`). If no folder
+is writable, every process compiles. Messages during compilation are those of `waiting`.
 
-See `waiting` for the messages during compilation.
-
-With NUMBA_DISABLE_JIT=1 all kernels are plain Python. With PINIMPACT_PLAIN_NUMBA=1, or if numba differs from
-what `linking` needs, plain numba compiles them: see `plain`.
+With NUMBA_DISABLE_JIT=1 all kernels are plain Python. With PINIMPACT_PLAIN_NUMBA=1, or with a numba that
+`linking` does not support, plain numba compiles them (`plain`).
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ from .waiting import COUNT, LOG, announce, expected
 WHY_PLAIN = plain.reason()
 if not WHY_PLAIN:
     from . import cache, pool
-    from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, without_collecting
+    from .linking import BitcodeCompiler, InlinedCompiler, KernelCompiler, compiling, without_collecting
     from .numba_internals import global_compiler_lock
 elif not numba.config.DISABLE_JIT:
     plain.warn(WHY_PLAIN)
@@ -45,29 +43,29 @@ elif not numba.config.DISABLE_JIT:
 F = TypeVar("F", bound=Callable[..., Any])
 
 WORTH_HELP = 3.0
-"""A compilation time [s] from which on helper processes are worth their start."""
+"""Estimated compilation time above which helper processes are started [s]."""
 
 _OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy"}
 
 
 def inlined(function: F) -> F:
-    """Compile a kernel that only other kernels call, in each of them."""
+    """Compile a kernel within each of the kernels that call it."""
     return _compiled(function)
 
 
 def always_inlined(function: F) -> F:
-    """Like `inlined`, for a kernel with one caller whose many arguments would cost more than its code."""
+    """Like `inlined`, for a kernel whose many arguments would cost more to pass than its code."""
     return _compiled(function, forceinline=True)
 
 
 def inlined_bitcode(function: F) -> F:
     """Like `inlined`, for long kernels: their bitcode is cached, so that another process can compile it."""
-    return _part(function)
+    return _bitcode(function)
 
 
 def always_inlined_bitcode(function: F) -> F:
     """Like `inlined_bitcode`, for `always_inlined` kernels."""
-    return _part(function, forceinline=True)
+    return _bitcode(function, forceinline=True)
 
 
 def external(function: F) -> F:
@@ -90,15 +88,15 @@ def released(function: F) -> F:
 def _compiled(function: F, **options: Any) -> F:
     """Compile a kernel in each of its callers."""
     if not WHY_PLAIN:
-        options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InnerCompiler}
+        options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InlinedCompiler}
     compiled: F = numba.njit(**_OPTIONS, **options)(function)
     return compiled
 
 
-def _part(function: F, **options: Any) -> F:
+def _bitcode(function: F, **options: Any) -> F:
     if WHY_PLAIN:
         return _compiled(function, **options)
-    return _cached(function, PartCompiler, no_cpython_wrapper=True, **options)
+    return _cached(function, BitcodeCompiler, no_cpython_wrapper=True, **options)
 
 
 def _called(function: F, **options: Any) -> F:
@@ -118,24 +116,26 @@ def _called(function: F, **options: Any) -> F:
 def _cached(function: F, pipeline: Any, **options: Any) -> F:
     if function.__closure__:
         raise ValueError(
-            f"{function.__qualname__}: defined inside a function, so its symbol is not unique; see inner"
+            f"{function.__qualname__}: defined inside a function, so its symbol is not unique; define it in "
+            "a module, or use `inlined`"
         )
     compiled: Any = numba.njit(pipeline_class=pipeline, no_cfunc_wrapper=True, **_OPTIONS, **options)(
         function
     )
     if hasattr(compiled, "py_func"):
-        compiled._cache, compiled.is_part = cache.KernelCache(compiled), pipeline is PartCompiler
+        compiled._cache, compiled.is_bitcode = cache.KernelCache(compiled), pipeline is BitcodeCompiler
     return compiled
 
 
 def compile_all(*calls: tuple[Any, ...]) -> None:
-    """Compile or load kernels in the order given, so that nothing is compiled later.
+    """Compile or load kernels in the order given, so that their later calls compile nothing.
 
-    A call is (kernel, *arguments): a `jit`, and arguments of the types of later calls, none if they are
-    `declared`.
+    Args:
+        calls: Tuples of a `jit` kernel and arguments of the types of later calls, or a kernel alone if its
+            signature is declared.
     """
     if not all(hasattr(kernel, "py_func") for kernel, *_ in calls):
-        return  # it is plain Python
+        return  # they are plain Python
     wanted = [(kernel, _types(kernel, arguments)) for kernel, *arguments in calls]
     if WHY_PLAIN:
         for kernel, types in wanted:
@@ -150,7 +150,7 @@ def is_declared(item: Any) -> bool:
 
 
 def kept_in(kernels: Sequence[Any]) -> str | None:
-    """Return the common cache folder of some kernels; None if nothing is kept."""
+    """Return the common cache folder of some kernels; None if they are not cached on disk."""
     paths = [kernel._cache.cache_path for kernel in kernels if hasattr(kernel, "_cache")]
     return None if not paths or None in paths else os.path.commonpath(paths)
 
@@ -173,6 +173,7 @@ class _Compile:
 
 
 _together: list[Any] = []
+"""The kernels that are being compiled together."""
 
 
 def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
@@ -210,7 +211,7 @@ def _missing(wanted: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
 
 
 def _all_kept(needed: Sequence[Job]) -> Callable[[], bool]:
-    """Return a function that says whether all kernels are cached by now; it asks of each until it is."""
+    """Return a function that returns whether all kernels are cached; a cached one is not checked again."""
     left = list(needed)
 
     def all_kept() -> bool:

@@ -1,9 +1,9 @@
-"""Compilation and linking of kernels: each once, and to machine code only if something calls it.
+"""Compilation and linking of kernels, without compiling callees again for each caller.
 
-Numba optimizes and translates a function together with all its callees, again at each level, so that a
-function with ten callers is compiled ten times. Here an inner kernel remains LLVM bitcode until a separately
-compiled kernel inlines it. Separately compiled kernels refer to each other by symbols that depend on names,
-types and sources only, so that caches of different processes are compatible.
+numba optimizes and translates a function together with all its callees, again at each level, so that a
+function with ten callers is compiled ten times. Here an inlined kernel remains LLVM bitcode until another
+kernel inlines it. Separately compiled kernels refer to each other by symbols that depend on names, types and
+sources only, so that caches of different processes are compatible.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ def symbol_stamp(module: str) -> str:
 
 
 class KernelCode(JITCodeLibrary):
-    """Code that is optimized as kernels need it, in two thirds of numba's time.
+    """Code with the optimization that kernels need, in two thirds of numba's time.
 
-    A single function only has its variables promoted to registers, which makes it short; all other
-    optimization takes place where it is used. Loops are neither vectorized nor unrolled: most have three or
-    seven iterations, and unrolling takes a fifth of LLVM's time without a gain. Independent operations on
-    several numbers become vector instructions.
+    Before linking, variables are promoted to registers, which shortens each function; all other optimization
+    is applied to the linked module. Loops are neither vectorized nor unrolled: most have three or seven
+    iterations, and unrolling takes a fifth of LLVM's time without a gain. Independent operations on several
+    numbers become vector instructions.
     """
 
     def _passes(self, level: int) -> Any:
@@ -76,8 +76,8 @@ class KernelCode(JITCodeLibrary):
         manager.run(self._final_module, passes)
 
 
-class InnerLibrary(KernelCode):
-    """The bitcode of an inner kernel, to be inlined in its callers."""
+class InlinedLibrary(KernelCode):
+    """The bitcode of a kernel that its callers inline."""
 
     def finalize(self) -> None:
         """Leave the code unchanged: it is optimized where it is inlined."""
@@ -89,7 +89,7 @@ class InnerLibrary(KernelCode):
         return _no_entry(self, fndesc, env)
 
     def own_code(self) -> Any:
-        """Return the module of this kernel alone, which can be linked into several."""
+        """Return the module of this kernel without its callees."""
         return super()._get_module_for_linking()
 
     def _get_module_for_linking(self) -> Any:
@@ -100,8 +100,8 @@ class InnerLibrary(KernelCode):
         return module
 
 
-class PartLibrary(InnerLibrary):
-    """The bitcode of an inner kernel and its callees, for the cache."""
+class BitcodeLibrary(InlinedLibrary):
+    """The bitcode of an inlined kernel and its inlined callees, for the cache."""
 
     kernel: Kernel
 
@@ -116,8 +116,8 @@ class PartLibrary(InnerLibrary):
         return self.name, module.as_bitcode(), self.kernel, tuple(callees)
 
     @classmethod
-    def load(cls, codegen: Any, state: Any) -> PartLibrary:
-        """Return the library of another process, with all callees."""
+    def load(cls, codegen: Any, state: Any) -> BitcodeLibrary:
+        """Return the library from the cache, with all callees."""
         name, code, kernel, callees = state
         self = cls(codegen, name)
         self.kernel = kernel
@@ -128,7 +128,7 @@ class PartLibrary(InnerLibrary):
 
 
 class KernelLibrary(KernelCode):
-    """The machine code of a separately compiled kernel, with the inner kernels that it inlines."""
+    """The machine code of a separately compiled kernel, including the kernels that it inlines."""
 
     kernel: Kernel
     callees: tuple[Kernel, ...] = ()  # the separately compiled kernels that it calls
@@ -138,13 +138,13 @@ class KernelLibrary(KernelCode):
 
     @classmethod
     def without_code(cls, codegen: Any, kernel: Kernel) -> KernelLibrary:
-        """Return a library without code for a kernel compiled elsewhere, for callers of its symbol."""
+        """Return a library without code for a kernel compiled elsewhere; callers use its symbol."""
         self = cls(codegen, kernel[1])
         self.kernel, self._finalized = kernel, True
         return self
 
     def finalize(self) -> None:
-        """Link the inner kernels, optimize the whole, and translate it."""
+        """Link the inlined kernels, optimize the module, and translate it to machine code."""
         for library in _needed(self):
             if isinstance(library, KernelLibrary):
                 self.callees += (library.kernel,)
@@ -154,7 +154,7 @@ class KernelLibrary(KernelCode):
         super().finalize()
 
     def _finalize_final_module(self) -> None:
-        """Translate; linked functions become internal, since their names may be in use elsewhere."""
+        """Translate to machine code, with linked functions internal, since other modules use their names."""
         self._finalize_dynamic_globals()
         for function in self._final_module.functions:
             if function.linkage == llvm.Linkage.linkonce_odr:
@@ -165,7 +165,7 @@ class KernelLibrary(KernelCode):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return no code: callers use the symbol."""
+        """Return an empty module: callers use the symbol."""
         return llvm.parse_assembly("")
 
     def serialize_using_object_code(self) -> Any:
@@ -174,7 +174,7 @@ class KernelLibrary(KernelCode):
 
     @classmethod
     def load(cls, codegen: Any, state: Any) -> KernelLibrary:
-        """Return the library of another process."""
+        """Return the library from the cache."""
         name, code, symbols, kernel, callees = state
         self = cls.without_code(codegen, kernel)
         self._name, self._code, self._symbols, self.callees = name, code, symbols, callees
@@ -183,7 +183,7 @@ class KernelLibrary(KernelCode):
     def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
         """Return the function that Python calls, with all callees loaded."""
         self._ensure_finalized()
-        if _to_be_kept_only:
+        if _cache_only:
             return _no_entry(self, fndesc, env)
         for callee in self.callees:
             _loaded(callee)
@@ -194,22 +194,22 @@ class KernelLibrary(KernelCode):
         return context.get_executable(self, fndesc, env)
 
 
-_to_be_kept_only = False
+_cache_only = False
 
 
 @contextmanager
-def to_be_kept_only() -> Iterator[None]:
+def cache_only() -> Iterator[None]:
     """Compile kernels for the cache only, without loading their code."""
-    global _to_be_kept_only
-    _to_be_kept_only = True
+    global _cache_only
+    _cache_only = True
     try:
         yield
     finally:
-        _to_be_kept_only = False
+        _cache_only = False
 
 
-def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
-    """Return symbol and types of a kernel that is compiled elsewhere, without its code."""
+def placeholder(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
+    """Return a compile result with symbol and types, but no code, of a kernel compiled elsewhere."""
     function, context = kernel.py_func, kernel.targetctx
     flags = Flags()
     kernel.targetdescr.options.parse_as_flags(flags, kernel.targetoptions)
@@ -236,7 +236,7 @@ def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
 
 
 def _loaded(kernel: Kernel) -> Any:
-    """Return the library of a kernel, from the cache, or compiled."""
+    """Return the library of a kernel, which is loaded from the cache or compiled."""
     module, name, types = kernel
     function = getattr(importlib.import_module(module), name)
     function.compile(types)
@@ -249,18 +249,18 @@ def _no_entry(library: Any, fndesc: Any, env: Any) -> Any:
 
 
 def _code(library: Any) -> Any:
-    return library.own_code() if isinstance(library, InnerLibrary) else library._get_module_for_linking()
+    return library.own_code() if isinstance(library, InlinedLibrary) else library._get_module_for_linking()
 
 
 def _needed(library: Any) -> list[Any]:
-    """Return the libraries that a library needs, through all inner kernels."""
+    """Return the libraries of the callees of a library, and of the callees of those that are inlined."""
     found: dict[Any, None] = {}
     waiting = list(library._linking_libraries)
     while waiting:
         one = waiting.pop()
         if one not in found:
             found[one] = None
-            if isinstance(one, InnerLibrary):
+            if isinstance(one, InlinedLibrary):
                 waiting.extend(one._linking_libraries)
     return list(found)
 
@@ -273,12 +273,10 @@ class KernelLowering(NativeLowering):
 
     def run_pass(self, state: Any) -> bool:
         """Lower a kernel and register it for its callers."""
-        state.flags.no_compile = True  # numba's way to run it
+        state.flags.no_compile = True  # numba leaves the entry point to this pass
         super().run_pass(state)
         lowered, library = state["cr"], state.library
-        lowered.fndesc.typemap = lowered.fndesc.calltypes = (
-            None  # half a million objects that nobody asks for
-        )
+        lowered.fndesc.typemap = lowered.fndesc.calltypes = None  # frees half a million unused objects
         entry = library.entry(state.targetctx, lowered.fndesc, lowered.env)
         state.targetctx.insert_user_function(entry, lowered.fndesc, [library])
         state["cr"] = lowered._replace(cfunc=entry)
@@ -306,8 +304,8 @@ def compiling() -> bool:
 
 
 @contextmanager
-def _deep() -> Iterator[None]:
-    """Increment the depth, and suspend garbage collection."""
+def _nested_compilation() -> Iterator[None]:
+    """Count the levels of nested compilations, and suspend garbage collection."""
     global _depth
     _depth += 1
     try:
@@ -318,29 +316,29 @@ def _deep() -> Iterator[None]:
         _depth -= 1
 
 
-_LEFT_OUT = {"InlineClosureLikes", "NopythonRewrites", "ReconstructSSA", "PreLowerStripPhis"}
+_OMITTED_PASSES = {"InlineClosureLikes", "NopythonRewrites", "ReconstructSSA", "PreLowerStripPhis"}
 
 
 class KernelCompiler(CompilerBase):
-    """The numba passes that kernels need; the others take a sixth of the time.
+    """The numba passes that kernels need; the omitted ones take a sixth of the time.
 
-    Kernels have no closures and no array expressions. They do not need static single assignment either: a
-    variable of a kernel has one type, and LLVM has its own.
+    Kernels have neither closures nor array expressions. They do not need numba's static single assignment
+    form either: each variable of a kernel has one type, and LLVM builds this form itself.
     """
 
     library: Any = KernelLibrary
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function."""
-        with _deep():
+        with _nested_compilation():
             return super().compile_extra(func)
 
     def define_pipelines(self) -> list[Any]:
-        """Return the one list of passes."""
+        """Return the list of passes."""
         state = self.state
         function = state.func_id
         function.unique_id = symbol_stamp(function.modname)
-        if self.library is not KernelLibrary:  # whose symbols have to be the same in every process
+        if self.library is not KernelLibrary:  # its symbols must be the same in every process
             function.unique_id += secrets.token_hex(6)
         if state.library is None:
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
@@ -350,19 +348,19 @@ class KernelCompiler(CompilerBase):
         passes.passes = [
             (KernelLowering if one is NativeLowering else one, why)
             for one, why in passes.passes
-            if one.__name__ not in _LEFT_OUT
+            if one.__name__ not in _OMITTED_PASSES
         ]
         passes.finalize()
         return [passes]
 
 
-class InnerCompiler(KernelCompiler):
-    """The passes for an inner kernel."""
+class InlinedCompiler(KernelCompiler):
+    """The passes for an inlined kernel."""
 
-    library = InnerLibrary
+    library = InlinedLibrary
 
 
-class PartCompiler(InnerCompiler):
-    """The passes for an inner kernel that is cached."""
+class BitcodeCompiler(InlinedCompiler):
+    """The passes for an inlined kernel whose bitcode is cached."""
 
-    library = PartLibrary
+    library = BitcodeLibrary

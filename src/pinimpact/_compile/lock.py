@@ -1,9 +1,9 @@
 """A lock for a cache folder, shared by all processes that use it, on one machine or on several.
 
-A process that compiles holds the lock, so that kernels that many processes need are compiled by one of them.
-The lock is a file that names its holder, who updates its time every `BEAT` seconds. A lock is taken over if
-its process has ended, or if it has not been updated for `STALE` seconds, by the clock of the waiting process.
-If locking fails for any reason, kernels are compiled twice, without other consequences.
+A process that compiles holds the lock, so that only one process compiles a kernel that several need. The
+lock is a file that names its holder, which updates the modification time every `BEAT` seconds. A lock is
+taken over if its process has ended, or if it has not been updated for `STALE` seconds, by the clock of the
+waiting process. If locking fails for any reason, the only consequence is that kernels are compiled twice.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from contextlib import suppress
 from pathlib import Path
 
 BEAT, STALE = 2.0, 20.0
-"""Time between two updates of the lock, and without one until it is taken over [s]."""
+"""Interval between updates of the lock, and time without update after which it is taken over [s]."""
 
 PAUSE = 0.1
 """Time between checks of the lock [s]."""
 
 
 class CacheLock:
-    """The lock of a cache folder, which need not exist yet; `file` is the lock."""
+    """The lock of a cache folder, which is created if necessary; `file` is the lock file."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.file = Path(folder, "pinimpact.lock")
@@ -38,7 +38,7 @@ class CacheLock:
         return self._token.startswith(f"{_owner()} ")
 
     def acquire(self, needless: Callable[[], bool] = lambda: False) -> None:
-        """Wait for the lock and take it; return without it if it is `needless`, or cannot be taken."""
+        """Wait for the lock and acquire it; return without it if `needless()` is true or locking fails."""
         token = f"{_owner()} {secrets.token_hex(8)}"
         seen, since = None, time.monotonic()
         while not self.held:
@@ -70,14 +70,14 @@ class CacheLock:
         self._token = ""
 
     def _state(self) -> tuple[str, int] | None:
-        """Return who holds the lock, and when it was updated."""
+        """Return the text of the lock file and its modification time [ns]; None without a lock."""
         try:
             return self.file.read_text(), self.file.stat().st_mtime_ns
         except OSError:
             return None
 
     def _remove(self, token: str) -> None:
-        """Remove the lock of a holder, unless another process holds it by now."""
+        """Remove the lock of a holder, unless another process has acquired it since."""
         aside = self.file.with_suffix(f".{secrets.token_hex(8)}")
         with suppress(OSError):
             os.rename(self.file, aside)

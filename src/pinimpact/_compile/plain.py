@@ -17,8 +17,8 @@ from .waiting import LOG, PACKAGE
 
 VARIABLE = "PINIMPACT_PLAIN_NUMBA"
 
-TRIED = (0, 61), (0, 68)
-"""The oldest and the newest version of numba that the compiler of `linking` has been run with."""
+TESTED = (0, 61), (0, 68)
+"""The oldest and the newest version of numba with which the compiler of `linking` has been tested."""
 
 SECONDS = {"impacts": 40, "scenes": 150}
 """Approximate time of plain numba for the kernels of a first impact and a first scene [s]."""
@@ -28,8 +28,9 @@ def reason(version: tuple[int, ...] = numba.version_info[:2]) -> str:
     """Return why kernels are compiled by plain numba; empty if they are not."""
     if os.environ.get(VARIABLE, "0") not in ("", "0"):
         return f"{VARIABLE} is set"
-    if not TRIED[0] <= version <= TRIED[1]:
-        return f"numba {'.'.join(map(str, version))} has not been tried ({TRIED[0]} to {TRIED[1]} have)"
+    if not TESTED[0] <= version <= TESTED[1]:
+        given, oldest, newest = (".".join(map(str, one)) for one in (version, *TESTED))
+        return f"numba {given} has not been tested ({oldest} to {newest} have)"
     return f"this numba lacks a name: {MISSING}" if MISSING else ""
 
 

@@ -1,11 +1,10 @@
 """A pool of processes that compile kernels.
 
-The process that needs kernels starts helpers, one for each further processor. All of them process one list of
-kernels with declared argument types, those with the most dependants first. A process takes the next kernel by
-locking it with a file, compiles it, and writes it to the cache. A process that needs a kernel locked by
-another waits for it or, if its result is declared, calls its symbol. Helpers are optional: kernels that are
-not in the cache, for any reason, are compiled by the process that waits, and it ends its helpers when it is
-done.
+The process that needs kernels (the main process) starts helpers, one for each further processor. All of them
+process the same list of kernels with declared argument types (`declared.jobs`). A process locks the next
+kernel by a file, compiles it, and writes it to the cache. A process that needs a kernel locked by another one
+waits for it or, if the type of its result is declared, calls its symbol. Helpers are optional: the main
+process compiles all kernels that are not in the cache at the end, for any reason, and ends the helpers.
 """
 
 from __future__ import annotations
@@ -27,31 +26,30 @@ from typing import Any, TypeVar
 import numba
 
 from .declared import Job, declared_result, kernel_of
-from .linking import stand_in, to_be_kept_only
+from .linking import cache_only, placeholder
 from .sources import PACKAGE, ROOT, memory
 from .waiting import COUNT, LOG
 
 T = TypeVar("T")
 
 MOST = 4
-"""Largest number of processes: more would wait for each other, and each takes 0.5 GB."""
+"""Maximum number of processes: more would wait for each other, and each needs 0.5 GB."""
 
 PAUSE = 0.005
-"""Time between checks of the progress of others [s]."""
+"""Time between checks of the progress of other processes [s]."""
 
-_HELP = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {} import help_out; help_out()"
+_CODE = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {} import run_helper; run_helper()"
+)
 
 
 class WorkerPool:
-    """The locks, in a folder, of the processes that compile together.
-
-    The process that waits for the kernels also has the other processes, its helpers.
-    """
+    """The lock files of the processes that compile together; in the main process, with its helpers."""
 
     def __init__(self, folder: Path, helpers: Sequence[subprocess.Popen[bytes]] = ()) -> None:
         self._folder = folder
         self._helpers = {helper.pid: helper for helper in helpers}
-        self._at_work: Job | None = None
+        self._compiling: Job | None = None
         self._borrowed: list[tuple[Any, tuple[Any, ...]]] = []
 
     def _file(self, job: Job) -> Path:
@@ -64,7 +62,7 @@ class WorkerPool:
                 file.write(str(os.getpid()))
         except FileExistsError:
             return False
-        except OSError:  # the folder is gone; so is whoever would wait
+        except OSError:  # the folder is removed, so no process waits
             return True
         return True
 
@@ -73,34 +71,34 @@ class WorkerPool:
         with suppress(OSError):
             self._file(job).with_suffix(".done").touch()
 
-    def of_others(self, job: Job, load: Callable[[], T | None]) -> T | None:
-        """Load a kernel of other processes from the cache; None if none, or if this process locked it."""
-        if self._is_at_work(job) or self.lock(job):
+    def load_from_others(self, job: Job, load: Callable[[], T | None]) -> T | None:
+        """Wait for a kernel locked by another process and load it; None if this process has to compile it."""
+        if self._is_compiling(job) or self.lock(job):
             return None
         while not self._is_over(job):
             time.sleep(PAUSE)
         return load()
 
     def _is_over(self, job: Job) -> bool:
-        """Whether a locked kernel is in the cache, or will not be."""
-        claimed = self._file(job)
+        """Whether a locked kernel is cached, or will not be because its process has ended."""
+        file = self._file(job)
         with suppress(OSError, ValueError):
-            owner = self._helpers.get(int(claimed.read_text()))
+            owner = self._helpers.get(int(file.read_text()))
             if owner is not None and owner.poll() is not None:
                 return True
-        return claimed.with_suffix(".done").exists()
+        return file.with_suffix(".done").exists()
 
     def borrow(self, kernel: Any, job: Job) -> Any:
-        """Return a placeholder for another kernel with a declared result; else None."""
-        if self._at_work is None:
+        """Return a placeholder for a callee with a declared result; None for any other kernel."""
+        if self._compiling is None:
             return None
         self._borrowed.append((kernel, job.types))
-        result = None if self._is_at_work(job) else declared_result(kernel, job.types)
-        return None if result is None else stand_in(kernel, job.types, result)
+        result = None if self._is_compiling(job) else declared_result(kernel, job.types)
+        return None if result is None else placeholder(kernel, job.types, result)
 
     def compile_with_others(self, jobs: Sequence[Job]) -> None:
-        """Compile unlocked kernels for the cache only, when their dependencies are done."""
-        with to_be_kept_only():
+        """Compile unlocked kernels for the cache only, each after the kernels that it needs."""
+        with cache_only():
             self._compile_with_others(jobs)
 
     def _compile_with_others(self, jobs: Sequence[Job]) -> None:
@@ -114,19 +112,19 @@ class WorkerPool:
             if not self.lock(job):
                 continue
             LOG.info(COUNT, sum(over), len(jobs))
-            self._at_work = job
+            self._compiling = job
             try:
-                with suppress(Exception):  # invalid types; other errors occur again at the call
+                with suppress(Exception):  # invalid types; other errors are raised again by the call
                     kernel_of(job).compile(job.types)
             finally:
-                self._at_work = None
+                self._compiling = None
                 self._return_borrowed()
             self.release(job)
-            if self._helpers:  # not in helpers, which end before it matters
+            if self._helpers:  # helpers end before memory becomes scarce
                 gc.collect(0)
 
     def _return_borrowed(self) -> None:
-        """Forget the placeholders, so that their kernels can be compiled here."""
+        """Remove the placeholders, so that their kernels can be compiled in this process."""
         for kernel, types in self._borrowed:
             kernel.overloads.pop(types, None)
         for kernel in {kernel for kernel, _ in self._borrowed}:
@@ -136,19 +134,19 @@ class WorkerPool:
                 kernel.add_overload(one)
         self._borrowed.clear()
 
-    def _is_at_work(self, job: Job) -> bool:
-        return self._at_work is not None and self._at_work[:3] == job[:3]
+    def _is_compiling(self, job: Job) -> bool:
+        return self._compiling is not None and self._compiling[:3] == job[:3]
 
     def _is_locked(self, job: Job) -> bool:
         return self._file(job).exists()
 
 
 present: WorkerPool | None = None
-"""The worker pool of this process."""
+"""The worker pool of this process, while it compiles together with others."""
 
 
 def possible_helpers() -> int:
-    """Return how many helpers are possible: none on one processor, or if Python cannot be restarted."""
+    """Return the number of possible helpers; 0 on one processor, or if no further Python can be started."""
     if getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("python"):
         return 0
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -157,10 +155,10 @@ def possible_helpers() -> int:
 
 @contextmanager
 def worker_pool(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
-    """Start helpers, which wait for kernels until the context ends.
+    """Start helpers, which end with the context.
 
-    Yields a function that compiles jobs, see `declared.jobs`, with them; kernels that remain are compiled
-    later.
+    Yields a function that compiles jobs (`declared.jobs`) with them. Kernels that it leaves are compiled when
+    they are called.
     """
     started: list[subprocess.Popen[bytes]] = []
     with ExitStack() as stack:
@@ -187,14 +185,14 @@ def _end(helpers: Sequence[subprocess.Popen[bytes]]) -> None:
     for helper in helpers:
         helper.kill()
     for helper in helpers:
-        with suppress(OSError):  # what it has not read
+        with suppress(OSError):  # it had not read all its input
             helper.communicate()
 
 
 def _helper() -> subprocess.Popen[bytes]:
     """Start a helper."""
     helper = subprocess.Popen(
-        [sys.executable, "-I", "-c", _HELP.format(__name__)],
+        [sys.executable, "-I", "-c", _CODE.format(__name__)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -206,27 +204,27 @@ def _helper() -> subprocess.Popen[bytes]:
 
 def _send(helper: subprocess.Popen[bytes], *messages: Any) -> None:
     assert helper.stdin is not None
-    with suppress(OSError):  # it has died already
+    with suppress(OSError):  # it has ended already
         for one in messages:
             pickle.dump(one, helper.stdin)
         helper.stdin.flush()
 
 
-def help_out() -> None:
-    """Run as a helper: compile unlocked kernels until none is left or no process waits any more."""
+def run_helper() -> None:
+    """Run as a helper: compile unlocked kernels until none is left, or until the main process ends."""
     global present
     source = sys.stdin.buffer
     numba.config.CACHE_DIR, folder, known = pickle.load(source)
     memory.known.update(known)
     jobs = pickle.load(source)
-    gc.disable()  # see `linking`; it ends before that matters
-    sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]  # numba's; no kernel calls it
+    gc.disable()  # see `without_collecting`; this process ends before memory becomes scarce
+    sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]  # numba imports it; no kernel calls it
     threading.Thread(target=_end_with, args=(source,), daemon=True).start()
     present = WorkerPool(folder)
     present.compile_with_others(jobs)
 
 
 def _end_with(source: Any) -> None:
-    """End this process when the one that waits has ended."""
+    """End this process when the main process has ended."""
     source.read()
     os._exit(0)

@@ -1,9 +1,9 @@
-"""Hashes of sources: of the code from which a cached kernel was compiled.
+"""Hashes of the sources from which cached kernels were compiled.
 
 The hash of a module covers its code and that of all modules of this package that it imports, directly or
 indirectly, as syntax trees without docstrings: comments, layout and docstrings do not invalidate a kernel.
-Sources are hashed when this module is imported, since kernels are compiled from the imported code, whatever
-happens to the files afterwards.
+Sources are hashed when this module is imported, since kernels are compiled from the imported code even if
+files are edited afterwards.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _IMPORTED = {
 
 
 class _Memory:
-    """Results of parsing, `known` by module and hash of its source; kept in a file, for it takes time."""
+    """Results of parsing by module and hash of its source (`known`), saved in a file to save time."""
 
     def __init__(self) -> None:
         self._file: Path | None = None
@@ -58,7 +58,7 @@ class _Memory:
         self._unsaved = False
 
     def keep_in(self, folder: str) -> None:
-        """Use this folder, unless another one was given before."""
+        """Set the folder of the file, if there is none yet, and read the results in it."""
         if self._file is None:
             self._file = Path(folder, f"{PACKAGE}.{sys.implementation.cache_tag}.json")
             with contextlib.suppress(OSError, ValueError):
@@ -73,7 +73,9 @@ class _Memory:
             return imported
         text = path.read_bytes()
         digest = _hash(text)
-        if _IMPORTED.get(path, digest) != digest:  # edited since: what was imported is known by its hash only
+        if (
+            _IMPORTED.get(path, digest) != digest
+        ):  # edited since the import: use the hash of the imported text
             return _IMPORTED[path], _imports(module, path, ast.parse(text))
         key = f"{module} {digest}"
         if key not in self.known:
@@ -84,7 +86,7 @@ class _Memory:
         return self.known[key]
 
     def save(self) -> None:
-        """Write the results for other processes, if there is a folder."""
+        """Write new results for other processes, if there is a folder."""
         if self._file is None or not self._unsaved:
             return
         self._unsaved = False
@@ -121,16 +123,16 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def _digest(tree: ast.Module) -> str:
-    """Remove the strings from a tree and return a hash of the rest."""
+    """Return a hash of a module without docstrings, which are removed from the tree."""
     for node in (tree, *_statements(tree)):
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
-    return _hash(repr(_written(tree)).encode())
+    return _hash(repr(_flattened(tree)).encode())
 
 
-def _written(tree: ast.AST) -> list[Any]:
-    """Return a tree without positions as one list: the content of `ast.dump`, in less than half its time."""
+def _flattened(tree: ast.AST) -> list[Any]:
+    """Return a tree without positions as a list: the content of `ast.dump`, in less than half the time."""
     found: list[Any] = []
     waiting: list[Any] = [tree]
     while waiting:

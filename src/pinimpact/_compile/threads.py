@@ -13,55 +13,55 @@ from ..checks import whole_number
 
 T = TypeVar("T")
 
-LEAST_SHARE = 32
-"""Smallest number of rows per call."""
+MIN_ROWS = 32
+"""Minimum number of rows per call."""
 
-MOST_SHARE = 4096
-"""Largest number of rows per call: after some tenths of a second at the most Ctrl-C is answered."""
+MAX_ROWS = 4096
+"""Maximum number of rows per call, so that Ctrl-C is handled within some tenths of a second."""
 
 
 @functools.cache
 def _helpers() -> ThreadPoolExecutor:
-    """Return the waiting threads; there are never more of them than cores.
+    """Return a pool with at most one thread per core.
 
-    They are kept, because on busy cores a new thread starts on the core of its caller.
+    Its threads are reused, because on busy cores a new thread starts on the core of its caller.
     """
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="pinimpact")
 
 
-if hasattr(os, "register_at_fork"):  # a child of the process has none of its threads
+if hasattr(os, "register_at_fork"):  # a forked process has no threads of its parent
     os.register_at_fork(after_in_child=_helpers.cache_clear)
 
 
 def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]:
-    """Call `solve` for slices of `count` rows, and return its results in order; a thread takes the next one.
+    """Call `solve` for slices of `count` rows in several threads, and return its results in order.
 
-    The first slices are long, to save calls, and the last ones short, so that all threads end together: rows
-    differ in cost, and cores in speed.
+    A thread that is done takes the next slice. The first slices are long, to save calls, and the last ones
+    short, so that all threads end together although rows differ in cost and cores in speed.
     """
-    if count <= (MOST_SHARE if threads == 1 else LEAST_SHARE):
+    if count <= (MAX_ROWS if threads == 1 else MIN_ROWS):
         return [solve(slice(0, count))]
     starts = [0]
     while starts[-1] < count:
-        share = (count - starts[-1]) // (2 * threads)
-        starts.append(min(count, starts[-1] + min(max(LEAST_SHARE, share), MOST_SHARE)))
-    shares = deque(enumerate(map(slice, starts, starts[1:])))
-    results: list[Any] = [None] * len(shares)
+        rows = (count - starts[-1]) // (2 * threads)
+        starts.append(min(count, starts[-1] + min(max(MIN_ROWS, rows), MAX_ROWS)))
+    tasks = deque(enumerate(map(slice, starts, starts[1:])))
+    results: list[Any] = [None] * len(tasks)
 
     def work() -> None:
         while True:
             try:
-                place, share = shares.popleft()
+                place, rows = tasks.popleft()
             except IndexError:  # none is left
                 return
-            results[place] = solve(share)
+            results[place] = solve(rows)
 
-    solve(slice(0, 0))  # compiled before the threads start
-    others = [_helpers().submit(work) for _ in range(min(threads, len(shares)) - 1)]
+    solve(slice(0, 0))  # compiles the kernel before the threads start
+    others = [_helpers().submit(work) for _ in range(min(threads, len(tasks)) - 1)]
     try:
         work()
     finally:
-        shares.clear()  # there are some left where an error was raised
+        tasks.clear()  # not empty if an error was raised
         begun = [other for other in others if not other.cancel()]
         wait(begun)
     for other in begun:

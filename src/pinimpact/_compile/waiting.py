@@ -1,8 +1,8 @@
-"""Messages about the compilation of kernels: for what, and about how long.
+"""Messages about the compilation of kernels, with their purpose and the estimated time.
 
-The logger "pinimpact.compiling" warns once for impacts and once for scenes, so that the message is visible
-without set-up of logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences it. At the
-level INFO it counts the kernels of `jit.compile_all`.
+The logger "pinimpact.compiling" logs one warning for impacts and one for scenes, so that the message is
+visible without configuration of logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")``
+silences it. At the level INFO it counts the kernels of `jit.compile_all`.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ COUNT = "compiling, once: %d of %d"
 """Message at the level INFO."""
 
 BYTES_PER_SECOND = 5500
-"""Approximate rate of compilation, in bytes of Python's bytecode, on one core of a present machine."""
+"""Approximate rate of compilation on one core [bytes of Python bytecode/s]."""
 
 SHORT = 1.0
-"""A compilation time [s] without a message."""
+"""Estimated compilation time below which there is no message [s]."""
 
 _announced: set[str] = set()
 
 
 def expected(kernels: Iterable[Any], processes: int = 1) -> float:
-    """Return the approximate compilation time of kernels with their callees [s]."""
+    """Return the estimated compilation time of kernels with their callees [s]."""
     code = sum(len(function.__code__.co_code) for function in reached(kernels))
     return code / BYTES_PER_SECOND / processes**0.5
 
 
 def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
-    """Report that kernels are being compiled by some processes, and whether they are kept on disk."""
+    """Report that kernels are being compiled, and whether they are cached on disk (`kept`)."""
     modules = {kernel.py_func.__module__ for kernel in kernels}
     purpose = SCENES if any(one.startswith(f"{PACKAGE}.scene.") for one in modules) else IMPACTS
     seconds = expected(kernels, processes)
     if purpose in _announced or seconds < SHORT:
         return
-    _announced.update((purpose, IMPACTS))  # scenes need those of impacts
+    _announced.update((purpose, IMPACTS))  # kernels of scenes include those of impacts
     often = (
         "which are kept and not compiled again on this machine (`pinimpact warmup` compiles all others too)"
         if kept

@@ -1,6 +1,6 @@
-"""Arrays and numbers that kernels share by name: one declaration gives memory, checks and access.
+"""Arrays and numbers that kernels and Python share by name.
 
-A subclass of `Workspace` declares the fields::
+A subclass of `Workspace` declares the fields, from which memory, checks and access are derived::
 
     class Pendulum(Workspace):
         nv = size("velocities")
@@ -9,13 +9,13 @@ A subclass of `Workspace` declares the fields::
         torque = reals("active", meaning="of the drives [N m]")
         mass_matrix = reals("nv", "nv", order="F", given=True, meaning="in the memory of the library")
 
-Python and kernels both read `work.torque`, `work.length` and write `work.length = 2.0`.
+Python and kernels both read `work.torque` and `work.length`, and set `work.length = 2.0`.
 
-In compiled code a workspace is one pointer to slots of eight bytes in the order of the declaration: the
-value of a size, count or number, or the address of an array. The shape of an array consists of sizes and
-counts, so code cannot read beyond it: kernels do not change sizes, and a count is checked against its limit
-whenever it is set. (Passing a workspace to a kernel costs 0.2 µs more than passing an integer; numba's
-`structref` 0.5 µs, with code that counts references.)
+In compiled code a workspace is one pointer to slots of eight bytes in the order of the declaration. A slot
+holds the value of a size, count or number, or the address of an array. The shape of an array consists of
+sizes and counts, and stays within its memory: kernels cannot change sizes, and a count is checked against its
+limit when it is set. (Passing a workspace to a kernel takes 0.2 µs longer than passing an integer; numba's
+`structref` takes 0.5 µs, and its code counts references.)
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Declared = TypeVar("Declared", bound="_Field[Any]")
 
 
 class _Field(Generic[T]):
-    """One name of a declaration, with its index in the memory (`slot`) and its description (`meaning`)."""
+    """A declared field, with its index in the memory (`slot`) and its description (`meaning`)."""
 
     name: str
     slot: int
@@ -57,10 +57,10 @@ class _Field(Generic[T]):
         raise NotImplementedError
 
     def __set__(self, work: Workspace, value: Any) -> None:
-        raise AttributeError(f"{self.name} cannot be set; it was given when the workspace was made")
+        raise AttributeError(f"{self.name} cannot be set; it is fixed when the workspace is created")
 
     def layout(self) -> tuple[Any, ...]:
-        """The part of the declaration on which compiled code depends."""
+        """Return the part of the declaration on which compiled code depends."""
         return (self.name, type(self).__name__)
 
 
@@ -75,8 +75,9 @@ class _Count(_Size):
         self.limit = limit
 
     def __set__(self, work: Workspace, value: int) -> None:
-        if not 0 <= value <= getattr(work, self.limit):
-            raise ValueError(f"{self.name}: {value} set, at most {self.limit} = {getattr(work, self.limit)}")
+        limit = getattr(work, self.limit)
+        if not 0 <= value <= limit:
+            raise ValueError(f"{self.name}: {value} given, 0 to {self.limit} = {limit} expected")
         work.integers[self.slot] = value
 
     def layout(self) -> tuple[Any, ...]:
@@ -113,7 +114,7 @@ class _Array(_Field[NDArray[Any]]):
         self.dims = dims
         self.order = order
         self.given = given
-        self.counts: tuple[int, ...] = ()  # slots of those in its shape
+        self.counts: tuple[int, ...] = ()  # slots of the counts in its shape
 
     def __get__(self, work: Workspace | None, owner: type) -> Any:
         if work is None:
@@ -139,7 +140,7 @@ class _Array(_Field[NDArray[Any]]):
 
 
 def size(meaning: str) -> _Size:
-    """Declare a length that is given when the workspace is created; see `Workspace.enlarge`."""
+    """Declare a length, set when the workspace is created; `Workspace.enlarge` can increase it."""
     return _Size(meaning)
 
 
@@ -166,9 +167,12 @@ def flag(meaning: str) -> _Flag:
 def reals(*dims: str | int, meaning: str, order: str = "C", given: bool = False) -> _Array:
     """Declare an array of float64.
 
-    Its shape consists of sizes or counts by name, or integers. With counts it has room for their limits, and
-    the part in use is at its front, contiguous. The order is "C", or "F" for column-major. The memory of one
-    that is `given` is given when the workspace is created.
+    Args:
+        dims: Its shape: names of sizes or counts, or integers. Memory is allocated for the limits of counts;
+            the part in use is contiguous and at the start.
+        meaning: Its description.
+        order: "C", or "F" for column-major.
+        given: Whether the array is an argument of the constructor instead of being allocated.
     """
     return _Array(float, dims, order, given, meaning)
 
@@ -179,12 +183,17 @@ def integers(*dims: str | int, meaning: str, given: bool = False) -> _Array:
 
 
 class Workspace(array.array):
-    """The memory that a declaration describes; see the module.
+    """The memory of declared fields, as described in the module.
 
-    It is an array of the slots: numba distinguishes the classes of such buffers without a call into Python,
-    but not those of bytearrays, of which it knows only the first class that it has seen. It is made with the
-    value of each size, and with arrays to use, which are required where `given`; others are allocated, and
-    zero. Raises `ValueError` for anything else than declared.
+    The base class is an array of the slots: numba distinguishes subclasses of `array.array` without a call
+    into Python, but takes all subclasses of `bytearray` for the first one that it has seen.
+
+    Args:
+        sizes: The value of each size.
+        arrays: Arrays by name, required for fields with ``given=True``; others are allocated as zeros.
+
+    Raises:
+        ValueError: Sizes or arrays that differ from the declaration.
     """
 
     fields: ClassVar[dict[str, _Field[Any]]] = {}
@@ -197,7 +206,7 @@ class Workspace(array.array):
         for slot, field in enumerate(cls.fields.values()):
             field.slot = slot
         limits = {name: getattr(field, "limit", name) for name, field in cls.fields.items()}
-        cls._declared = [  # with the sizes that bound their shape
+        cls._declared = [  # arrays, with the shape of their memory
             (field, tuple(limits.get(dim, dim) for dim in field.dims))  # type: ignore[arg-type]
             for field in cls.fields.values()
             if isinstance(field, _Array)
@@ -213,65 +222,67 @@ class Workspace(array.array):
         return super().__new__(cls, "q", bytes(WIDTH * len(cls.fields)))
 
     def __init__(self, sizes: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
-        # views that refer to it would keep it for ever: the garbage collector does not follow NumPy's arrays
+        # from an address: views with a reference to `self` would be a cycle that the garbage collector cannot
+        # see, since it does not traverse NumPy arrays
         memory = (ctypes.c_int64 * len(self)).from_address(self.buffer_info()[0])
         self.integers = np.ctypeslib.as_array(memory)
         self.numbers = self.integers.view(np.float64)
-        self._fixed = memoryview(self)  # keeps the memory from being moved
+        self._fixed = memoryview(self)  # prevents a reallocation of the memory
         self.arrays: dict[str, NDArray[Any]] = dict(arrays)
         self.used: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
-        self._handed = tuple(arrays)
-        for field, shape in self._lay_out(dict(sizes)).handed:
+        self._given = tuple(arrays)
+        for field, shape in self._lay_out(dict(sizes)).given:
             array = arrays[field.name]
             _check(field, array, shape)
             self.integers[field.slot] = array.__array_interface__["data"][0]
 
     def _lay_out(self, sizes: dict[str, int]) -> _Plan:
-        """Make the memory of the allocated arrays, zero; return its layout."""
-        plan = _plan(type(self), tuple(sizes.items()), self._handed)
-        self.arrays = {name: self.arrays[name] for name in self._handed}
+        """Allocate the memory of the arrays that are not given, as zeros, and return its layout."""
+        plan = _plan(type(self), tuple(sizes.items()), self._given)
+        self.arrays = {name: self.arrays[name] for name in self._given}
         self.used.clear()
         for slot, value in plan.sizes:
             self.integers[slot] = value
         self._sizes, self._places = sizes, plan.places
-        self._made = np.zeros(plan.room)
-        self.integers[plan.slots] = self._made.__array_interface__["data"][0] + plan.offsets
+        self._allocated = np.zeros(plan.length)
+        self.integers[plan.slots] = self._allocated.__array_interface__["data"][0] + plan.offsets
         return plan
 
     def whole(self, field: _Array) -> NDArray[Any]:
-        """Return an array with its full length."""
+        """Return an array with its full memory, including the part not in use."""
         array = self.arrays.get(field.name)
         if array is None:
             place, shape = self._places[field.name]
-            part = self._made[place : place + math.prod(shape)].view(field.dtype)
+            part = self._allocated[place : place + math.prod(shape)].view(field.dtype)
             array = self.arrays[field.name] = part.reshape(shape, order="C" if field.order == "C" else "F")
         return array
 
     def enlarge(self, sizes: Mapping[str, int]) -> None:
-        """Increase some sizes and keep all values; only sizes that limit counts, of allocated arrays.
+        """Increase some sizes and keep all values; views taken before are not updated.
 
-        The part of an array in use is at its front, by the counts. Views taken before are not updated.
+        Only for sizes that are limits of counts and occur in allocated arrays: their part in use is at the
+        start of the memory and keeps its place.
         """
         grown = {name: value for name, value in sizes.items() if value > self._sizes[name]}
         if not grown:
             return
-        made = [field for field, _ in self._declared if field.name in self._places]
-        before = [self.whole(field).ravel(order="K") for field in made]
+        allocated = [field for field, _ in self._declared if field.name in self._places]
+        before = [self.whole(field).ravel(order="K") for field in allocated]
         self._lay_out(self._sizes | grown)
-        for field, old in zip(made, before, strict=True):
+        for field, old in zip(allocated, before, strict=True):
             self.whole(field).ravel(order="K")[: old.size] = old
 
     def values(self) -> tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]:
-        """Return a copy of all values, without those of arrays that were given."""
-        return self._sizes, self.integers[self._numbers], self._made.copy()
+        """Return the sizes and copies of all numbers and allocated arrays."""
+        return self._sizes, self.integers[self._numbers], self._allocated.copy()
 
     def set_values(self, values: tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]) -> None:
-        """Set all to `values` of the same sizes, except for those that `enlarge` grows, which it takes."""
-        sizes, numbers, made = values
+        """Restore the result of `values`, including sizes that `enlarge` has changed since."""
+        sizes, numbers, allocated = values
         if sizes != self._sizes:
             self._lay_out(sizes)
         self.integers[self._numbers] = numbers
-        self._made[:] = made
+        self._allocated[:] = allocated
 
     def __reduce_ex__(self, *arguments: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")
@@ -290,38 +301,38 @@ class _Plan(NamedTuple):
     """The layout of the arrays of a workspace."""
 
     sizes: list[tuple[int, int]]  # slot and value of each size
-    handed: list[tuple[_Array, tuple[int, ...]]]  # the given arrays, and their shapes
-    places: dict[str, tuple[int, tuple[int, ...]]]  # of allocated arrays: position in the memory, and shape
-    room: int  # number of values of all of them
-    slots: NDArray[np.int64]  # slots of their addresses, and bytes from the start of the memory
-    offsets: NDArray[np.int64]
+    given: list[tuple[_Array, tuple[int, ...]]]  # given arrays and their shapes
+    places: dict[str, tuple[int, tuple[int, ...]]]  # allocated arrays: start in the memory, and shape
+    length: int  # length of the memory of allocated arrays
+    slots: NDArray[np.int64]  # slots of the addresses of allocated arrays
+    offsets: NDArray[np.int64]  # their starts in the memory [bytes]
 
 
 @functools.lru_cache(maxsize=128)
-def _plan(kind: type[Workspace], sizes: tuple[tuple[str, int], ...], handed: tuple[str, ...]) -> _Plan:
-    """Return the layout for these sizes, with the given arrays by name."""
+def _plan(kind: type[Workspace], sizes: tuple[tuple[str, int], ...], names: tuple[str, ...]) -> _Plan:
+    """Return the layout for sizes, and for the names of the given arrays."""
     fields, values = kind.fields, dict(sizes)
     declared = [name for name, field in fields.items() if type(field) is _Size]
     if set(values) != set(declared):
         raise ValueError(f"sizes: {sorted(values)} given, {sorted(declared)} expected")
-    unknown = [name for name in handed if not isinstance(fields.get(name), _Array)]
+    unknown = [name for name in names if not isinstance(fields.get(name), _Array)]
     if unknown:
         raise ValueError(f"arrays: {unknown} given, which are not declared")
-    given, places, room = [], {}, 0  # what is made stands one after the other
+    given, places, length = [], {}, 0
     for field, dims in kind._declared:
         shape = tuple(values[dim] if isinstance(dim, str) else dim for dim in dims)
-        if field.name in handed:
+        if field.name in names:
             given.append((field, shape))
         elif field.given:
             raise ValueError(f"{field.name}: missing ({field.meaning})")
         else:
-            places[field.name] = room, shape
-            room += math.prod(shape)
+            places[field.name] = length, shape
+            length += math.prod(shape)
     return _Plan(
         [(fields[name].slot, value) for name, value in sizes],
         given,
         places,
-        room,
+        length,
         np.array([fields[name].slot for name in places], dtype=np.int64),
         np.array([WIDTH * place for place, _ in places.values()], dtype=np.int64),
     )

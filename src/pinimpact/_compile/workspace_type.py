@@ -1,4 +1,4 @@
-"""How compiled code reads and writes the fields of a `Workspace`: one pointer to slots of eight bytes."""
+"""Access to the fields of a `Workspace` in compiled code, by one pointer to slots of eight bytes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WIDTH = 8
 class WorkspaceType(types.Type):
     """The numba type of a declaration.
 
-    Its name changes with the declaration and with this module, so that cached code becomes invalid.
+    Its name depends on the declaration and on the code of this module: changes invalidate cached code.
     """
 
     def __init__(self, layout: tuple[tuple[Any, ...], ...]) -> None:
@@ -54,7 +54,9 @@ def _unbox(kind: WorkspaceType, work: Any, context: Any) -> NativeValue:
     buffer = api.alloca_buffer()
     status = api.get_buffer(work, buffer)
     failed = builder.icmp_signed("!=", status, status.type(0))
-    place = builder.load(builder.bitcast(buffer, ir.IntType(8).as_pointer().as_pointer()))  # its first field
+    place = builder.load(
+        builder.bitcast(buffer, ir.IntType(8).as_pointer().as_pointer())
+    )  # first field of the buffer: the address of its data
     api.release_buffer(buffer)  # the workspace outlives the kernel
     return NativeValue(place, is_error=failed)
 
