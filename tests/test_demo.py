@@ -213,7 +213,7 @@ def test_what_cannot_strike_says_why(tmp_path: Path) -> None:
     assert "own.urdf has no movable joint, so it cannot strike\n" in result.output
     assert call("info", written(tmp_path, FIXED)).exit_code == 0
     for options, said in (
-        (("two_link_arm", "--normal", "0", "1", "0"), "cannot move towards such a table"),
+        (("two_link_arm", "--normal", "0", "1", "0"), "cannot move towards a table with this normal"),
         (("panda", "--normal", "0", "0", "1", "--direction", "0", "0", "1"), "points away from the table"),
         (("panda", "--frame", "panda_hand_tpc"), "did you mean"),
         (("panda", "--frame", "panda_link0"), "no joint moves frame 'panda_link0'"),

@@ -180,7 +180,7 @@ def plan(scene: Path, as_json: bool) -> None:
 
 
 def _plain(text: str) -> float | str:
-    """Return a number if a text is one, else the text with its unit."""
+    """Return a text as a number if possible, else unchanged (a number with its unit)."""
     try:
         return float(text)
     except ValueError:
@@ -277,7 +277,7 @@ def run_ensemble(
     if resume and out is None:
         raise click.UsageError("--resume needs -o, the folder of the study.")
     run_study = load_study(study)
-    folder = make_folder(out, ENSEMBLE_FILES, force=out is not None)  # a study that is there is not changed
+    folder = make_folder(out, ENSEMBLE_FILES, force=out is not None)  # `ensemble` checks for existing studies
     with simulating(quiet) as progress:
         found = run_study(executor=workers, out=folder, resume=resume, progress=progress)
     page = found.save_summary(folder / "summary.html")
@@ -299,7 +299,7 @@ def warmup(quiet: bool) -> None:
 
         folder = warm_up()
     if folder is None:
-        message = "no folder for the cache is writable, so all processes compile again; set NUMBA_CACHE_DIR"
+        message = "no cache folder is writable, so every process compiles; set NUMBA_CACHE_DIR"
         raise click.ClickException(message)
     if not quiet:
         click.echo(f"All kernels are compiled and cached in {folder}.")

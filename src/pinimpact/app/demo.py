@@ -31,27 +31,28 @@ from .robot_info import frame_label, free_base, suggested_frames
 BEFORE, AFTER = 0.15, 0.25
 """Simulated time before and after the impact [s], for a robot of 1 m; less for smaller ones."""
 SUNK = 0.01
-"""Depth of a part without contact in the table at which the demo ends, relative to the robot's size."""
+"""Penetration of a part without contact at which the demo ends, relative to the robot's size."""
 SLIDE = 0.2
-"""How far the contact point moves along the table before and after the impact [m], of a robot of 1 m."""
+"""Motion of the contact point along the table before and after the impact [m], for a robot of 1 m."""
 FRICTION, RESTITUTION = 0.3, 0.5
 FIXED_BASE, FREE_BASE = (0.5, 0.3, -0.8), (0.6, 0.3, -2.0)
 """Velocity of the contact point at impact [m/s], in contact axes; the tangential part is smaller for a free
 base with a small support (`_steadiness`)."""
 TILT = (-0.15, 0.25, 0.0)
-"""Roll, pitch and yaw of a free base at impact [rad], so that one foot lands first; smaller likewise."""
+"""Roll, pitch and yaw of a free base at impact [rad], so that one foot lands first; also reduced by
+`_steadiness`."""
 LEAST_LEVER = 0.01
-"""A point counts as movable if joints at 1 rad/s or m/s give it this speed [m/s], and it reaches that part of
-its speed."""
+"""Minimum speed of a movable contact point [m/s], relative to max(1, |v|) with the joint velocities v."""
 WEAK = 0.1
-"""Lever arms relative to the longest one below which a direction is left out by default; where the user gives
-it, `LITTLE`."""
+"""Smallest singular value of the contact Jacobian, relative to the largest, at which the point moves along a
+direction by default; `LITTLE` if the user gives the direction."""
 STIFFNESS, DAMPING, G = 1.0, 0.05, 9.81
-"""Of springs in the joints of a free base, in weight times size per rad and √(size/g); g [m/s²]."""
+"""Joint stiffness of a free-base robot relative to weight × size [1/rad], joint damping relative to
+stiffness × √(size/g), and g [m/s²]."""
 FLOOR = 0.1
-"""A frame this far above the lowest foot, relative to the robot's size, is a hand."""
+"""Height above the lowest foot, relative to the robot's size, above which points do not support the robot."""
 LEAST_STEADY = 0.2
-"""With less tilt several points of a foot would touch at once."""
+"""Minimum factor of `_steadiness`: with less tilt several points of a foot would touch at once."""
 NO_JOINT_EFFECTS = ("joint limits", "joint damping", "joint friction")
 
 
@@ -89,7 +90,7 @@ class Demo:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """The instant at which a point collides with the table."""
+    """The state at which a point collides with the table."""
 
     joint: int
     contact: Contact
@@ -114,10 +115,12 @@ def run_demo(
     fixed base a control that compensates gravity and inertia keeps the joints at constant speed; a free base
     falls. Limits, damping and dry friction of the joints are ignored.
 
-    Arguments are the options of the command `demo`. Of the direction (3,), in world axes as the normal,
-    components that the frame cannot produce are left out; the default normal is z or, if the frame cannot
-    move down, opposite to a direction in which it can move. Raises `PinimpactError` for an unknown robot, or
-    one that cannot make this impact.
+    The arguments are the options of the command `demo`. `direction` (3,) and `normal` (3,) are in world axes;
+    components of the direction in which the frame cannot move are omitted. The default normal is z or, if the
+    frame cannot move down, opposite to a direction in which it can move.
+
+    Raises:
+        PinimpactError: An unknown robot, or one that cannot make this impact.
     """
     robot, frozen = _movable(load_robot(name), name)
     model, body = robot.model, Body(robot)
@@ -135,7 +138,7 @@ def run_demo(
     plane = touch.contact.plane
     assert isinstance(plane, Plane)
 
-    def clear(t: float, q: Array, v: Array) -> float:  # what has no contact would go through the table
+    def clear(t: float, q: Array, v: Array) -> float:  # parts without contact would pass through the table
         return body.height(q, np.array(plane.point), plane.axes) + SUNK * body.size if t > before else 1.0
 
     ends = Event(clear, terminal=True, direction=-1, name="another part reaches the table")
@@ -156,7 +159,7 @@ def run_demo(
 
 
 def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tuple[str, ...]]:
-    """Return the robot without the joints that have no inertia, and their names."""
+    """Return the robot without the joints that move no inertia, and the names of these joints."""
     model = robot.model
     if model.nv == 0:
         raise ModelError(f"robot: {name} has no movable joint, so it cannot strike", value=name)
@@ -174,7 +177,7 @@ def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tupl
 
 
 def _idle_joints(model: pin.Model, q: Array) -> set[int]:
-    """Return joints without which the mass matrix is regular: they move no inertia, alone or with others."""
+    """Return joints that move no inertia, alone or together: without them the mass matrix is regular."""
     joint_of = [j for j in range(1, model.njoints) for _ in range(model.nvs[j])]
     mass = pin.crba(model, model.createData(), q).reshape(model.nv, model.nv)
     mass = np.triu(mass) + np.triu(mass, 1).T
@@ -189,8 +192,8 @@ def _idle_joints(model: pin.Model, q: Array) -> set[int]:
                 return idle
             continue
         scaled = mass[np.ix_(free, free)] / np.sqrt(np.outer(diagonal, diagonal))
-        sizes, directions = np.linalg.eigh(scaled)
-        if sizes[0] > len(free) * EPS * sizes[-1]:
+        eigenvalues, directions = np.linalg.eigh(scaled)
+        if eigenvalues[0] > len(free) * EPS * eigenvalues[-1]:
             return idle
         idle.add(joint_of[free[int(np.argmax(np.abs(directions[:, 0])))]])
 
@@ -205,7 +208,7 @@ def _touch(
     normal: Sequence[float] | None,
     law: tuple[float, float, str],
 ) -> Touch:
-    """Return the impact of the robot: with the first frame that can move towards the table."""
+    """Return the state at impact of the first frame that can move towards the table."""
     model = body.model
     free = free_base(model)
     keys: list[str | int]
@@ -255,25 +258,29 @@ def _touch(
                     plane=table, friction=mu, restitution=e, law=kind, **_place(body, strike.point, i)
                 )
                 return Touch(int(model.frames[i].parentJoint), contact, strike.q, v)
-    what = f"frame {frame!r}" if frame is not None else "what could strike"
+    what = f"frame {frame!r}" if frame is not None else "the contact frame"
     if moves is None:
         raise ModelError(
-            f"robot: {name}: no joint moves {what}, so it cannot strike", field="frame", value=frame
+            f"robot: no joint of {name} moves {what}, so it cannot strike", field="frame", value=frame
         )
     x, y, z = (round(float(component), 3) + 0.0 for component in moves)
     raise InputError(
-        f"normal: {what} of {name} cannot move towards such a table in this posture; it moves "
-        f"along ({x:g}, {y:g}, {z:g}): give a normal opposite to that, another direction, or "
-        "another frame",
+        f"normal: {what} of {name} cannot move towards a table with this normal in this posture; it moves "
+        f"along ({x:g}, {y:g}, {z:g}); give the opposite normal, another direction, or another frame",
         value=normal,
     )
 
 
 def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[int, Strike]:
-    """Return the frame that collides, and its posture and point, for a table with axes (3, 3).
+    """Return the id of the frame that collides, with posture and contact point.
 
-    A free base lands on its lowest point, and of an arm the lowest point around the frame i collides, unless
-    its origin has to (`exact`). q0 (nq,) is the initial configuration.
+    Args:
+        body: The robot.
+        q0: (nq,) initial configuration.
+        i: Id of a frame.
+        exact: Whether the origin of this frame collides. Otherwise it is the lowest point of a free-base
+            robot, or of the part of a fixed-base robot at the frame.
+        axes: (3, 3) axes of the table as rows, the normal last.
     """
     model = body.model
     joint = int(model.frames[i].parentJoint)
@@ -288,8 +295,8 @@ def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[in
     feet = {int(model.frames[k].parentJoint): k for k in reversed(suggested_frames(model))}
     strike, lowest = landing(body, tilted, list(feet), axes[2])
     part = [k for foot, k in feet.items() if lowest in body.part(foot)]
-    carried = [k for k, frame in enumerate(model.frames) if frame.parentJoint == lowest]
-    return (part or carried)[-1], strike
+    attached = [k for k, frame in enumerate(model.frames) if frame.parentJoint == lowest]
+    return (part or attached)[-1], strike
 
 
 def _jacobian(body: Body, strike: Strike, i: int) -> Array:
@@ -328,7 +335,7 @@ def _other_feet(body: Body, touch: Touch) -> list[Contact]:
 
 
 def _tables(body: Body, q0: Array, i: int, axes: Array | None, along: Array | None) -> list[Array]:
-    """Return the axes (3, 3) of the tables to try: the given one, or z and possible directions of motion."""
+    """Return axes (3, 3) of the tables to try: the given ones, or normals along z and against the motion."""
     if axes is not None:
         return [axes]
     tables = [contact_axes((0.0, 0.0, 1.0))]
@@ -341,10 +348,10 @@ def _tables(body: Body, q0: Array, i: int, axes: Array | None, along: Array | No
 
 
 def _steadiness(body: Body, q: Array) -> float:
-    """Return how stable a free base stands, from `LEAST_STEADY` to 1.
+    """Return a measure of the stability of a standing robot, from `LEAST_STEADY` to 1.
 
-    It is the width of the support, as far as the centre of mass is in its middle, relative to the height of
-    the centre of mass.
+    It is twice the smallest horizontal distance of the centre of mass from the sides of the bounding box of
+    the support, divided by the height of the centre of mass.
     """
     axes, feet = np.eye(3), {int(body.model.frames[k].parentJoint) for k in suggested_frames(body.model)}
     points = np.reshape([point for foot in feet for point in soles(body, q, foot, axes)], (-1, 3))
@@ -358,7 +365,7 @@ def _steadiness(body: Body, q: Array) -> float:
 
 
 def _tilted(model: pin.Model, q: Array, part: float) -> Array:
-    """Return a configuration with its free base tilted by a part of `TILT`."""
+    """Return a configuration with the free base tilted by a fraction of `TILT`."""
     root, q = model.jointPlacements[1].rotation, q.copy()
     tilt = pin.rpy.rpyToMatrix(*(part * np.array(TILT)))
     q[3:7] = pin.Quaternion(root.T @ tilt @ root @ pin.XYZQUATToSE3(q[:7]).rotation).coeffs()
@@ -368,9 +375,10 @@ def _tilted(model: pin.Model, q: Array, part: float) -> Array:
 def _take_back(
     model: pin.Model, contacts: Sequence[Contact], touch: Touch, before: float
 ) -> tuple[Array, Array, float]:
-    """Return a state from which the motion leads to the impact, and the time until then [s].
+    """Return the initial configuration and velocity of a motion that leads to the impact, and its time [s].
 
-    Joints move at constant speed, and a free base falls; nothing touches before.
+    Joints move at constant speed, and a free base falls. The time is at most `before` [s], and shorter if a
+    contact would touch the table earlier.
     """
     data = model.createData()
     fall = model.jointPlacements[1].rotation.T @ model.gravity.linear if free_base(model) else np.zeros(3)
@@ -398,7 +406,7 @@ def _hold_speeds(model: pin.Model) -> Control:
 
 
 def _hold_posture(body: Body, q: Array) -> JointPD:
-    """Return springs that hold the joints against the robot's weight to a fifth of its size."""
+    """Return a PD control that holds the joints at a configuration."""
     model = body.model
     single = [model.idx_vs[j] for j in range(2, model.njoints) if model.nvs[j] == model.nqs[j] == 1]
     gains = np.zeros(model.nv)
@@ -407,7 +415,7 @@ def _hold_posture(body: Body, q: Array) -> JointPD:
 
 
 def _run(scene: Scene, q: Array, v: Array, duration: float) -> tuple[Trajectory, str | None]:
-    """Return the motion, and why it could not continue, if it could not; `KeyboardInterrupt` passes on."""
+    """Return the motion, and why it ended early or None; raise `KeyboardInterrupt` after Ctrl-C."""
     try:
         trajectory = simulate(scene, q, v, duration)
     except SimulationError as error:

@@ -1,4 +1,4 @@
-"""The output folder of a command: created, or an error raised, before the computation."""
+"""The output folder of a command, created and checked before the computation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,15 @@ DEFAULT = Path("out")
 
 
 def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> Path:
-    """Return the output folder, created if necessary, or raise `InputError`: it has such files already.
+    """Return the output folder, which is created if necessary.
 
-    Without one it is "out" or, if that contains files of these names, "out-2" and so on. `force` overwrites
-    them.
+    Args:
+        out: The folder; None for "out" or, if that contains files of these names, "out-2" and so on.
+        names: Names of the files to be written.
+        force: Whether existing files may be overwritten.
+
+    Raises:
+        InputError: The folder contains such files already, or cannot be written.
     """
     if out is None:
         out = DEFAULT
@@ -44,7 +49,7 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
 
 
 def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "impacts"], Path]:
-    """Return the files of a run's tables, or raise `InputError`: they exist already, or cannot be written."""
+    """Return the files of a run's tables; raise `InputError` if they exist already or cannot be written."""
     output = check_table_path("output", output)
     impacts = output.with_stem(f"{output.stem}-impacts")
     taken = [path.name for path in (output, impacts) if path.exists()]

@@ -21,24 +21,26 @@ from ..visual.surface_shapes import THICKNESS
 SAMPLES, SEED = 600, 28
 """Number of random postures of an arm, before steps from the best of them, and their seed."""
 STRAY, PLANAR = 0.15, 0.02
-"""Cost of a radian away from the initial posture; a lever arm that is taken as zero, relative to the size."""
+"""Cost of the distance from the initial posture [1/rad]; lever arm that is taken as zero, relative to the
+robot's size."""
 BEND, ASIDE = 0.7, 0.75
-"""A joint whose middle is this many half ranges from zero is bent by this angle [rad], or to its middle."""
+"""Angle by which a one-sided joint is bent, at most to the middle of its range [rad]; a joint is one-sided if
+this middle is more than `ASIDE` half ranges from zero."""
 WIDEST = 2.0
-"""Largest distance of joints from their initial positions [rad or m]."""
+"""Maximum distance of random joint positions from the initial ones [rad or m]."""
 CLEAR, ROOM = 0.01, 0.1
-"""Smallest distance of other parts from the table, and one beyond which a posture is not better, relative to
-the robot's size."""
+"""Minimum distance of other parts from the table, and distance beyond which the score does not increase,
+relative to the robot's size."""
 HEIGHT, HIGHEST = 0.2, 0.4
-"""Sufficient height of a table above the lowest part of the base, and one above which the arm would reach
-over itself, relative to the size."""
-DEXTEROUS = 0.2
-"""A lever arm beyond which a posture is not better, relative to the robot's size."""
-TILTS = (1.0, 0.5, 0.2, 0.0)
-"""Parts of its tilt with which a free base tries to land on a foot."""
-SLOPE, APART = 0.6, 0.05
-"""Tilts at which a foot has another lowest point, and the smallest distance of two such relative to the
+"""Range of heights of the table above the lowest part of the base without a cost, relative to the robot's
 size."""
+DEXTEROUS = 0.2
+"""Lever arm beyond which the score does not increase, relative to the robot's size."""
+TILTS = (1.0, 0.5, 0.2, 0.0)
+"""Fractions of its tilt with which a free base tries to land on a foot."""
+SLOPE, APART = 0.6, 0.05
+"""Slope by which a foot is tilted to find other lowest points, and their minimum distance relative to the
+robot's size."""
 FLAT = LITTLE
 """Points this close to the lowest one belong to the same edge or face, relative to the robot's size; other
 contacts are further away."""
@@ -120,13 +122,13 @@ class Body:
 
 
 def _hull(geometry: Any) -> Any:
-    """Return a coal shape, for a mesh its convex hull if it is not flat."""
+    """Return a coal shape; for a mesh that is not flat, its convex hull."""
     if not hasattr(geometry, "buildConvexHull"):
         return geometry
-    try:  # Coal ends the process at one that Qhull refuses
+    try:  # Coal would end the process where Qhull raises an error
         ConvexHull(surface_points(geometry))
         geometry.buildConvexHull(True, "Qt")
-    except (QhullError, RuntimeError):  # flat, or a corner of too many edges
+    except (QhullError, RuntimeError):  # flat, or a vertex with too many edges
         return geometry
     return geometry.convex
 
@@ -157,9 +159,16 @@ def bent(robot: pin.RobotWrapper) -> Array:
 def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Array, reach: float) -> Strike:
     """Return a posture in which a part touches a table from above and all others stay clear of it.
 
-    It maximizes the sum of lever arm, distance and upright hand over many postures, with little motion from
-    the initial one, q0. The part of a joint touches at `local` (3,), in its axes, or where it is lowest. The
-    table has axes (3, 3), its normal last, and reaches half its size [m].
+    The posture has the largest score among many: a sum of lever arm, distance from the table and uprightness
+    of the hand, less a cost of the distance from the initial posture.
+
+    Args:
+        body: The robot.
+        q0: (nq,) initial configuration.
+        joint: Joint of the part in contact.
+        local: (3,) contact point in the axes of the joint; None for the lowest point.
+        axes: (3, 3) axes of the table as rows, the normal last.
+        reach: Half the side length of the table [m].
     """
     model, normal, own = body.model, axes[2], body.part(joint)
     low, high = bounds(model)
@@ -217,9 +226,13 @@ def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Ar
 
 
 def landing(body: Body, tilted: Sequence[Array], feet: Sequence[int], normal: Array) -> tuple[Strike, int]:
-    """Return the posture of a landing free base, on a foot if possible, and the joint of its lowest point.
+    """Return the posture in which a free-base robot lands, and the joint of its lowest point.
 
-    Of postures in order of preference, for joints of its feet and the normal (3,) of the table.
+    Args:
+        body: The robot.
+        tilted: Configurations (nq,); the first one that lands on a foot is chosen, or else the first.
+        feet: Joints of the feet.
+        normal: (3,) normal of the table.
     """
     parts = [body.part(joint) for joint in feet]
     found = []
@@ -237,7 +250,7 @@ def landing(body: Body, tilted: Sequence[Array], feet: Sequence[int], normal: Ar
 
 
 def soles(body: Body, q: Array, joint: int, axes: Array) -> list[Array]:
-    """Return points of a foot, in world axes: the lowest, and the lowest when it is turned each way."""
+    """Return the lowest points (3,) of a foot in world axes: as it is, and tilted in four directions."""
     corners, part = body.at(q), body.part(joint)
     found: list[Array] = []
     for slope in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):

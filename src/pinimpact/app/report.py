@@ -22,17 +22,17 @@ from ..scene.trajectory import Trajectory
 from ..status import Flag
 
 LONGEST = 40
-"""Largest number of rows of a table, unless all are requested."""
+"""Maximum number of rows of a table, unless all are requested."""
 ROUNDING = 32.0 * 2.0**-52
-"""A sum below this part of its terms is zero to rounding."""
+"""Sums below this fraction of their terms are rounding errors and shown as zero."""
 CONDITION = 1e3
-"""Factor by which M magnifies rounding in velocities after an impact, for a mass matrix of many bodies."""
+"""Amplification of rounding errors in joint velocities by the mass matrix of a robot with many bodies."""
 WIDE = 160
-"""Width of a page that is not a terminal [columns]."""
+"""Minimum width of output that does not go to a terminal [columns]."""
 
 
 def wide_console() -> Console:
-    """Return the console of stdout; files and pipes have a width for long names."""
+    """Return the console of stdout; files and pipes are wide enough for long names."""
     console = Console()
     return console if console.is_terminal else Console(width=max(WIDE, console.width))
 
@@ -85,7 +85,7 @@ def impact_report(
 
 
 def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> dict[str, Any]:
-    """Return an impact as plain data: as in `impact_report`, in SI units and contact axes t₁, t₂, n."""
+    """Return the contents of `impact_report` as plain data, in SI units and contact axes t₁, t₂, n."""
     solution, work = impact.solution, impact.solution.work
     return {
         "time": impact.time,
@@ -108,7 +108,7 @@ def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> di
 
 
 def run_report(trajectory: Trajectory, every: bool = False) -> RenderableType:
-    """Return a run as tables: impacts, modes, energy, notes, how it ended; the first rows, or every one."""
+    """Return a run as tables: impacts, modes, energy, notes and the end; the first rows, or `every` row."""
     impacts, modes = trajectory.impacts, trajectory.modes
     shown = None if every else LONGEST
     return Group(
@@ -152,7 +152,7 @@ def run_facts(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
-    """Return `robot_facts` as tables, with a list of every frame or of their names."""
+    """Return `robot_facts` as tables; `every` adds a table of all frames."""
     base = "free" if facts["free_base"] else "fixed"
     heading = (
         f"{facts['robot']}: {counted(facts['nv'], 'velocity')} (nq = {facts['nq']}), {base} base, "
@@ -196,10 +196,10 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
 
 
 def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
-    """Return the changes of energy by cause; the residual is given however small it is."""
-    energy, works = trajectory.energy, trajectory.energy.by_cause()
-    values = [energy.total[-1] - energy.total[0], *(work[-1] for work in works.values())]
-    names = ["kinetic and potential", *(f"work of {cause}" for cause in works)]
+    """Return the changes of energy by cause, and the energy residual, which is not rounded."""
+    energy, work_by_cause = trajectory.energy, trajectory.energy.by_cause()
+    values = [energy.total[-1] - energy.total[0], *(work[-1] for work in work_by_cause.values())]
+    names = ["kinetic and potential", *(f"work of {cause}" for cause in work_by_cause)]
     changes = rounded(values, float(np.abs(energy.total).max()))
     return [*zip(names, changes, strict=True), ("energy residual", energy.residual[-1])]
 
@@ -251,16 +251,18 @@ def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
 
 
 def rounded(values: Any, size: float = 0.0) -> list[float]:
-    """Return numbers (n,), zero where within rounding of the largest, or of terms of a larger size."""
-    found = np.asarray(values, dtype=float)
-    least = ROUNDING * max(size, float(np.abs(found).max(initial=0.0)))
-    return [0.0 if abs(x) <= least else x for x in found.tolist()]
+    """Return numbers (n,), with zero for rounding errors of the largest one, or of terms of this size."""
+    numbers = np.asarray(values, dtype=float)
+    least = ROUNDING * max(size, float(np.abs(numbers).max(initial=0.0)))
+    return [0.0 if abs(x) <= least else x for x in numbers.tolist()]
 
 
 def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
     """Return a table; numbers are aligned to the right and not split, names are wrapped if necessary."""
     lines = [tuple(cell if isinstance(cell, str) else _number(cell) for cell in row) for row in rows]
-    table = Table(title=Text(title), title_justify="left", min_width=min(len(title), 80))  # titles stay whole
+    table = Table(
+        title=Text(title), title_justify="left", min_width=min(len(title), 80)
+    )  # titles are not split
     for k, name in enumerate(head):
         numbers = bool(lines) and all(_is_number(line[k]) for line in lines)
         width = max([len(line[k]) for line in lines], default=0) if numbers else None

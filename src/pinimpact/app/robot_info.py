@@ -23,10 +23,10 @@ SENSORS = (
 def suggested_frames(model: pin.Model) -> list[int]:
     """Return the ids of suggested contact frames, the most likely first.
 
-    These are the outermost ones: for each joint without children the frame that is called a tool, a foot or a
-    tip, or else the one farthest from the joint, but no sensor; and tools further inside. A link at the end
-    of a chain is classified by what it is fixed to: the end of a hand is a tool. A free base has its feet
-    first, a fixed one its tools.
+    For each joint without children this is the frame whose name is that of a tool, a foot or a tip, or else
+    the frame farthest from the joint; sensors are excluded. Tools at other joints are added. A link at the
+    end of a chain is classified by the links to which it is fixed: the end of a hand is a tool. Feet come
+    first for a free base, tools for a fixed base.
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
@@ -39,7 +39,7 @@ def suggested_frames(model: pin.Model) -> list[int]:
     ]
     for i in _chain_ends(model):
         joint, parent, passed = model.frames[i].parentJoint, model.frames[i].parentFrame, {i}
-        # reduced models have circles
+        # in reduced models the parents of frames can form a cycle
         while parent not in passed and model.frames[parent].parentJoint == joint:
             kinds[i] = min(kinds[i], kinds[parent])
             passed.add(parent)
@@ -64,7 +64,7 @@ def suggested_frames(model: pin.Model) -> list[int]:
 
 
 def _chain_ends(model: pin.Model) -> list[int]:
-    """Return the ids of moving links without children; sensors are left out."""
+    """Return the ids of moving links without children, except sensors."""
     parents = {frame.parentFrame for frame in model.frames}
     return [
         i
@@ -78,7 +78,7 @@ def _chain_ends(model: pin.Model) -> list[int]:
 
 
 def _words(name: str) -> str:
-    """Return a name in lower case with spaces between its words."""
+    """Return a name in lower case, with spaces between its words."""
     return re.sub(r"[^a-z]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
 
 
@@ -160,4 +160,4 @@ _KINDS = (
     ("P", "prismatic"),
     ("Mimic", "mimic"),
 )
-"""Names in URDF of Pinocchio's joints, by how theirs begin."""
+"""URDF names of joints by the first letters of Pinocchio's names; the first match applies."""

@@ -42,7 +42,7 @@ FrameKey = str | int
 class Table(BaseModel):
     """A table of the file: unknown keys raise an error, and values are not converted.
 
-    The docstrings of keys are also in docs/scene-files.md; ``python -m tools.scene_keys`` writes them.
+    ``python -m tools.scene_keys`` writes the docstrings of keys to docs/scene-files.md.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True)
@@ -282,8 +282,12 @@ def bundled_scenes() -> dict[str, Path]:
 def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> SceneFile:
     """Return the checked tables of a scene file; paths in it are not resolved.
 
-    `control` has keys of its table ``[control]`` that replace those in the file. Raises `InputError` or
-    `UnknownNameError`, whose messages name the key.
+    Args:
+        path: Path of the file.
+        control: Keys of the table ``[control]`` that replace those in the file.
+
+    Raises:
+        InputError, UnknownNameError: An invalid file, key or value; the message names the key.
     """
     tables = read_toml(path, "scene", bundled_scenes())
     if control:
@@ -298,7 +302,13 @@ def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> Sce
 
 
 def read_toml(path: Path, what: str, names: Iterable[str]) -> dict[str, Any]:
-    """Return the tables of a TOML file of some kind; an `InputError` suggests names in place of a path."""
+    """Return the tables of a TOML file, or raise `InputError`.
+
+    Args:
+        path: Path of the file.
+        what: Kind of file, for messages.
+        names: Names that may be given instead of a path; messages suggest similar ones.
+    """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -320,7 +330,7 @@ def validated(kind: type[Checked], tables: dict[str, Any], path: Path) -> Checke
 
 
 def _table_of(key: str) -> type[Table] | None:
-    """Return the kind of the tables of a key of a scene file."""
+    """Return the class of the tables of a key of a scene file, or None."""
     kind = getattr(SceneFile.model_fields.get(key), "annotation", None)
     kinds = [one for one in (kind, *get_args(kind)) if isinstance(one, type) and issubclass(one, Table)]
     return kinds[0] if kinds else None
@@ -329,7 +339,7 @@ def _table_of(key: str) -> type[Table] | None:
 def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> PinimpactError:
     """Return pydantic's first error as an `InputError` that names the key."""
     complaints = error.errors()
-    # a table in place of a list is why other keys seem to be missing
+    # a table instead of a list of tables causes further errors about missing keys
     complaint = next((one for one in complaints if one["type"] == "list_type"), complaints[0])
     place = complaint["loc"]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")

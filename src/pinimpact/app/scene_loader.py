@@ -84,9 +84,9 @@ class LoadedScene:
                 yield "Forces", save_figure(figure, folder / "forces.png")
             impacts = [impact for impact in trajectory.impacts if impact.source in contacts]
             if impacts:
-                strongest = max(impacts, key=lambda impact: float(impact.solution.impulse[2]))
-                title = f"{strongest.source}, t = {strongest.time:.4f} s: the largest impulse"
-                figure = impact_figure(strongest.problem, strongest.solution, title)
+                largest = max(impacts, key=lambda impact: float(impact.solution.impulse[2]))
+                title = f"{largest.source}, t = {largest.time:.4f} s: the largest impulse"
+                figure = impact_figure(largest.problem, largest.solution, title)
                 yield "Impact plot", save_figure(figure, folder / "impact.png")
         if output.replay:
             page = folder / "replay.html"
@@ -95,10 +95,15 @@ class LoadedScene:
 
 
 def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> LoadedScene:
-    """Read a scene file, or the scene of the package of that name. Paths in it are relative to the file.
+    """Read a scene file, or the bundled scene of that name; paths in it are relative to the file.
 
-    `control` as in `read_scene_file`, with its errors, also for names of surfaces, joints, frames and robots;
-    `ModelError` for a robot that cannot be used.
+    Args:
+        path: Path or name.
+        control: As in `read_scene_file`.
+
+    Raises:
+        InputError, UnknownNameError: An invalid value or name; the message names the key.
+        ModelError: A robot that cannot be used.
     """
     path = bundled_scenes().get(str(path), Path(path))
     file = read_scene_file(path, control)
@@ -144,19 +149,20 @@ def _law(table: ControlTable, model: pin.Model, start: Array) -> JointPD | Joint
     limited = table.largest_effort is not None
     if limited and table.cancel_gravity:
         raise InputError(
-            "control.largest_effort: not possible with cancel_gravity; remove one of the two",
+            f"control.largest_effort: {table.largest_effort:g} given, which cancel_gravity does not support; "
+            "remove one of the two",
             value=table.largest_effort,
         )
     drives = JointPD(table.stiffness, table.damping, start, table.largest_effort)
     plain = all(nq == nv == 1 for nq, nv in zip(model.nqs, model.nvs, strict=True) if nv not in (0, 6))
     if limited or (plain and not table.cancel_gravity):
-        drives.drives(model)  # says so where it cannot drive a joint
+        drives.drives(model)  # raises an error for a joint that it cannot drive
         return drives
     return JointControl(table, model, start)
 
 
 def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
-    """Return all robots in one, and their velocities by their bases."""
+    """Return all robots as one, and the initial velocity (nv,) from those of the bases."""
     parts, speeds = [], []
     for index, table in enumerate(file.robot):
         key = f"robot[{index}]"
@@ -192,13 +198,13 @@ def _start(start: StartTable, robot: pin.RobotWrapper, v0: Array) -> tuple[Array
         if vector.shape != (size,):
             raise InputError(f"{key}: {len(vector)} numbers given, {size} expected", value=vector)
     for name, value in start.joints.items():
-        joint, straight = _single_joint(model, "start.joints", name)
-        number = _quantity(f"start.joints.{name}", value, "length" if straight else "angle")
+        joint, prismatic = _single_joint(model, "start.joints", name)
+        number = _quantity(f"start.joints.{name}", value, "length" if prismatic else "angle")
         at = model.idx_qs[joint]
         q[at : at + model.nqs[joint]] = number if model.nqs[joint] == 1 else (np.cos(number), np.sin(number))
     for name, value in start.speeds.items():
-        joint, straight = _single_joint(model, "start.speeds", name)
-        number = _quantity(f"start.speeds.{name}", value, "speed" if straight else "angular speed")
+        joint, prismatic = _single_joint(model, "start.speeds", name)
+        number = _quantity(f"start.speeds.{name}", value, "speed" if prismatic else "angular speed")
         v[model.idx_vs[joint]] = number
     return q, v
 
@@ -226,13 +232,13 @@ def _quantity(key: str, value: float | str, kind: str) -> float:
 
 
 _Linked = tuple[str, Surface, str | Sequence[str], dict[str, Any]]
-"""A key in the file, a surface, the links whose shapes make contact with it, and the coefficients."""
+"""Key in the file, surface, links whose shapes make contact with it, and arguments of the contacts."""
 
 
 def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked]]:
-    """Return the contacts, whether each is held, and the contacts of links with their coefficients.
+    """Return pairs of whether a contact is held and the contact, and the contacts of links.
 
-    A contact without a name is called "frame on surface", by the names in the file.
+    The default name of a contact is "frame on surface", with the names in the file.
     """
     tables = file.contact
     for index, table in enumerate(tables):
@@ -280,10 +286,10 @@ def _surface(key: str, name: str, file: SceneFile) -> Surface:
     if len(kinds) != 1:
         known = [known for tables in file.surfaces.values() for known in tables]
         wanted = " or ".join(f"[{kind}.{name}]" for kind in file.surfaces)
-        trouble = f"no {wanted} in the file; {near_matches(name, known)}"
+        what = f"no {wanted} in the file; {near_matches(name, known)}"
         if kinds:
-            trouble = f"{name!r} is both a {' and a '.join(kinds)}; give each its own name"
-        raise UnknownNameError(f"{key}.plane: {trouble}", value=name)
+            what = f"{name!r} is both a {' and a '.join(kinds)}; give each its own name"
+        raise UnknownNameError(f"{key}.plane: {what}", value=name)
     surface = file.surfaces[kinds[0]][name]
     with _at(key):
         values: dict[str, Any] = {"name": name, **surface.model_dump()}

@@ -36,9 +36,9 @@ class StudyFile(Table):
 
 
 def load_study(path: Path) -> Callable[..., Ensemble]:
-    """Read a study file and its scene; errors as in `load_scene`.
+    """Return `ensemble` with the arguments in a study file and its scene file; errors as in `load_scene`.
 
-    Returns `ensemble` with all arguments of the files; those of how it is run are left to the caller.
+    The caller adds the arguments that do not affect the results, such as `executor` and `out`.
     """
     file = validated(StudyFile, read_toml(path, "study", ()), path)
     bundled = file.scene in bundled_scenes()
@@ -62,4 +62,4 @@ def _distribution(key: str, table: dict[str, float | str]) -> Any:
     try:
         return getattr(stats, str(name))(**parameters)
     except TypeError as error:
-        raise InputError(f"over.{key}: {name} has other parameters ({error})") from error
+        raise InputError(f"over.{key}: {table} given, the parameters of {name} expected ({error})") from error

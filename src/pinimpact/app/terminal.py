@@ -1,4 +1,4 @@
-"""What the commands share: errors and warnings as lines, progress, results as tables or JSON."""
+"""Output of the commands: errors and warnings as lines, progress, results as tables or JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+"""Exit status after Ctrl-C, as in shells: 128 plus the number of the signal."""
 
 
 def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -29,7 +29,7 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
         with _warnings_as_lines():
             try:
                 return command(*args, **kwargs)
-            except BrokenPipeError:  # `pinimpact … | head` has read enough; click ends quietly
+            except BrokenPipeError:  # the reader of a pipe, such as `head`, has ended; click exits quietly
                 raise
             except (PinimpactError, OSError) as error:
                 raise click.ClickException(str(error)) from error
@@ -42,14 +42,14 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print each warning in one line, without its place in the source."""
+    """Print each warning in one line, without its source location."""
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_, **__: click.echo(f"Warning: {message}", err=True)
         yield
 
 
 class _Shown(logging.Handler):
-    """Passes on log messages; the estimated time stays visible while kernels are counted."""
+    """Shows log messages; the estimated time remains visible while kernels are counted."""
 
     def __init__(self, show: Callable[[str], Any]) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ class _Shown(logging.Handler):
 
 @contextmanager
 def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[None]:
-    """Send messages about compilation to `show` only, if the console is a terminal."""
+    """Send messages about compilation to `show` instead of the log, if the console is a terminal."""
     if not console.is_terminal:
         yield
         return
@@ -86,7 +86,7 @@ def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[No
 
 @contextmanager
 def working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
-    """Show progress on a terminal, and which kernels are compiled; yield a function that prints a line."""
+    """Show progress and compilation on a terminal; yield a function that prints a line."""
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)
@@ -101,7 +101,7 @@ def working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def simulating(quiet: bool) -> Iterator[Callable[[float, float], None]]:
-    """Show a bar of progress on a terminal; yield a function that takes what is done, and the whole."""
+    """Show a progress bar on a terminal; yield a function (done, whole) that updates it."""
     from rich.console import Console
     from rich.progress import Progress
 

@@ -23,7 +23,7 @@ from ..robot.robot_impact import impact
 
 
 def _one_joint() -> None:
-    """Compile for a robot with one velocity: its (6, 1) Jacobian is of a type of its own for numba."""
+    """Compile for a robot with one velocity, whose (6, 1) Jacobian has its own type in numba."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(
@@ -37,10 +37,9 @@ def _one_joint() -> None:
 
 
 def warm_up() -> str | None:
-    """Compile or load all kernels that impacts, scenes and their measurements can call.
+    """Compile or load all kernels of impacts, scenes and `cost`.
 
-    Returns the common folder of their caches, if they have one; None if no folder is writable, so that every
-    process compiles its own.
+    Returns the common folder of their caches; None if no folder is writable, so that every process compiles.
     """
     modules = [
         importlib.import_module(module.name)
@@ -50,7 +49,7 @@ def warm_up() -> str | None:
     kernels = dict.fromkeys(item for module in modules for item in vars(module).values() if is_declared(item))
     compile_all(*((kernel,) for kernel in kernels))
     problem = ImpactProblem([[2, 0, 0.5], [0, 3, 0.4], [0.5, 0.4, 1]], (1, 0.5, -1), 0.3, 0.5)
-    solve_impact(problem, "rk4")  # whose table no signature declares
+    solve_impact(problem, "rk4")  # the type of its table is in no declared signature
     numbers = (*11 * (1.0,), 0)
     compile_all((repeat_exact, 1, *numbers), (repeat_stepping, 1, *numbers, RK4, 1, 0.0))  # for `cost`
     _one_joint()
