@@ -246,7 +246,7 @@ def test_many_contacts_are_refused_where_a_plot_makes_no_sense() -> None:
     solution = pinimpact.solve_impact(many, simultaneous="any", seed=3)
     hit = plots.one_impact.Solved(many, solution)
     for call, said in (
-        (lambda: plots.hodograph(many), "has 2 contacts: give the number of one, 0 to 1"),
+        (lambda: plots.hodograph(many), "has 2 contacts, an index from 0 to 1"),
         (lambda: plots.velocities(many, contact=2), "contact: 2 given"),
         (lambda: plots.hodograph(ROD, contact=1), "is at one contact"),
         (lambda: plots.hodograph(hit, contact=0), "'any' has no path"),

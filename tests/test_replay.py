@@ -294,9 +294,9 @@ def test_one_impact_beside_the_robot(fall) -> None:
         np.testing.assert_allclose(v, v[0] + p @ hit.problem.delassus, atol=1e-5)  # v = v° + W P all along
         assert len(v) > 10
     assert alone["surfaces"] == alone["joints"] == alone["contacts"] == [] or not alone["joints"]
-    with pytest.raises(pinimpact.InputError, match="q: missing; a hit does not have"):
+    with pytest.raises(pinimpact.InputError, match="q: None given; a hit does not contain"):
         pinimpact.replay(robot, hit, None)
-    with pytest.raises(pinimpact.InputError, match="contacts: none is called 'tip'"):
+    with pytest.raises(pinimpact.InputError, match="contacts: no contact is called 'tip'"):
         pinimpact.replay(robot, record, None)
 
 
@@ -326,7 +326,7 @@ def test_one_impact_at_many_contacts() -> None:
         np.testing.assert_allclose(mark["velocity"][0] @ axes, v[:3], atol=1e-6)
         assert np.all(np.diff(mark["clock"]) >= 0.0)
         assert (mark["clock"][0], mark["clock"][-1]) == (0.0, 1.0)
-    with pytest.raises(pinimpact.InputError, match="q: missing; a hit does not have"):
+    with pytest.raises(pinimpact.InputError, match="q: None given; a hit does not contain"):
         pinimpact.replay(robot, hit, None)
 
 

@@ -9,7 +9,7 @@ _MODULES = ("html_replay", "plots", "work_precision")
 
 
 def __getattr__(name: str) -> Any:
-    """Import a module on first use, so that ``pinimpact.visual.plots`` needs no import of its own."""
+    """Import a module on first use, so that ``pinimpact.visual.plots`` works without a further import."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return import_module(f"{__name__}.{name}")

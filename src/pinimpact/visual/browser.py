@@ -1,4 +1,4 @@
-"""A headless browser, if there is one: it opens a page and returns its document."""
+"""Opening of pages in a headless browser."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OPTIONS = (
     ),
     *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
     *("--disable-quic", "--hide-scrollbars", "--enable-logging=stderr", "--v=0"),
-    # a page that needs a network is none of ours
+    # no network: replays are self-contained
     *("--host-resolver-rules=MAP * ~NOTFOUND", "--proxy-server=http://127.0.0.1:9"),
 )
 
@@ -33,7 +33,7 @@ class Opened(NamedTuple):
     """The result of opening a page."""
 
     dom: str  # the document as text, after its scripts have run
-    console: list[str]  # the lines that it wrote to its console
+    console: list[str]  # the lines of its console
 
 
 def find_browser() -> str | None:
@@ -50,10 +50,15 @@ def open_page(
     screenshot: str | Path | None = None,
     timeout: float = 600.0,
 ) -> Opened:
-    """Open a page from a file, without any network, in a window of a size [px].
+    """Open a page from a file, without network.
 
-    `fragment` is the part of its address after #; a screenshot is written to a PNG file instead of returning
-    the document. Errors as in `subprocess.run`, if it takes longer than the timeout [s].
+    Args:
+        browser: The browser, from `find_browser`.
+        page: Path of the page.
+        fragment: The part of its address after #.
+        size: Width and height of the window [px].
+        screenshot: A PNG file to write; the document is then not returned.
+        timeout: Time after which `subprocess.run` raises an error [s].
     """
     address = Path(page).absolute().as_uri() + (f"#{fragment}" if fragment else "")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:

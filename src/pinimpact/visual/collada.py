@@ -8,16 +8,15 @@ from xml.etree import ElementTree
 NAMESPACE = "http://www.collada.org/2005/11/COLLADASchema"
 _TAG = f"{{{NAMESPACE}}}"
 DIGITS, NORMAL_DIGITS = 5, 3
-"""Digits of the numbers of a mesh and of its normals; a page shows no more, and most of its size is their
-text."""
+"""Significant digits of the numbers of a mesh and of its normals: enough for display, for smaller files."""
 _PRIMITIVES = tuple(_TAG + name for name in ("triangles", "polylist", "polygons", "lines"))
 
 
 def for_viewer(document: str) -> str:
     """Return a COLLADA document in a form that meshcat's viewer shows completely.
 
-    For a mesh with several materials the viewer shows only one, with its triangles: meshes are split by
-    material. It fails if only some have texture coordinates: all get some. Numbers are rounded to `DIGITS`.
+    The viewer shows only one material of a mesh, so meshes are split by material. It fails if only some
+    meshes have texture coordinates, so zeros are added to the others. Numbers are rounded to `DIGITS`.
     """
     ElementTree.register_namespace("", NAMESPACE)
     root = ElementTree.fromstring(document)
@@ -73,7 +72,7 @@ def _round(library: ElementTree.Element) -> None:
 
 
 def _add_texture_coordinates(library: ElementTree.Element) -> None:
-    """Add texture coordinates of zero to primitives without any, if others have some."""
+    """Add texture coordinates of zero to primitives without any, if other primitives have some."""
     texture = f"{_TAG}input[@semantic='TEXCOORD']"
     surfaces = [part for tag in _PRIMITIVES[:3] for part in library.iter(tag)]
     if not any(part.find(texture) is not None for part in surfaces):

@@ -37,7 +37,7 @@ def ensemble_page(facts: Mapping[str, Any], figure: Figure) -> str:
     ]
     parts = [
         f"<h1>{count} samples over {html.escape(parameters)}</h1>",
-        "<p>In brackets: intervals with 95 % confidence, of what more samples would give.</p>",
+        "<p>In brackets: 95 % confidence intervals.</p>",
         *_table("Frequencies", ("result", "value", "%"), shares),
         *_table(
             "Quantiles [SI units]",
@@ -66,7 +66,7 @@ def _estimate(value: Mapping[str, float | None], factor: float = 1.0) -> str:
 
 
 def _table(title: str, head: Iterable[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table with a heading, or nothing without rows; the last columns are HTML already."""
+    """Return a table with a heading, or nothing without rows; cells with <small> are HTML already."""
     if not rows:
         return []
     names = "".join(f"<th>{name}</th>" for name in head)

@@ -1,4 +1,4 @@
-"""Times of the frames of a replay: evenly spaced, closer where it slows down, twice at an impact."""
+"""Times of the frames of a replay: evenly spaced, denser where it slows down, and twice at each impact."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..arrays import Array
 
 FRAMES_PER_SECOND = 60
 MAX_FRAMES = 2000
-"""Largest number of evenly spaced frames; longer replays have wider spacing, to limit the file."""
+"""Maximum number of evenly spaced frames; longer replays have a wider spacing, to limit the file size."""
 SLOWED = 20
-"""Impacts with the largest work of compression at which a replay slows down, unless their work is little."""
+"""Maximum number of impacts at which a replay slows down: those with the largest work of compression."""
 EXTRA = 30
 """Additional frames on either side of an impact at which the replay slows down."""
 
@@ -22,26 +22,31 @@ EXTRA = 30
 def width_of_slowness(duration: float, speed: float, slowdown: float) -> float:
     """Return the time before and after an impact during which the replay is slow [s of the motion].
 
-    The replay is slower by the factor 1 + (slowdown − 1) exp(−x²), x the distance in widths. The width adds
-    about one second to the replay on either side.
+    The replay is slower by the factor 1 + (slowdown − 1) exp(−x²), where x is the time to the impact divided
+    by this width. The width is such that the replay takes about one second longer on either side.
     """
     return min(speed / max(slowdown - 1.0, 10.0) / (0.5 * math.sqrt(math.pi)), 0.25 * duration)
 
 
-def slowed(stopped: Sequence[float]) -> list[bool]:
-    """Return the impacts at which a replay slows down, from the work of compression of each [J]."""
-    least = LITTLE * max(stopped, default=0.0)
-    hardest = sorted(range(len(stopped)), key=lambda i: -stopped[i])[:SLOWED]
-    return [i in hardest and stopped[i] >= least > 0.0 for i in range(len(stopped))]
+def slowed(absorbed: Sequence[float]) -> list[bool]:
+    """Return whether a replay slows down at each impact, from the energy absorbed in compression [J]."""
+    least = LITTLE * max(absorbed, default=0.0)
+    largest = sorted(range(len(absorbed)), key=lambda i: -absorbed[i])[:SLOWED]
+    return [i in largest and absorbed[i] >= least > 0.0 for i in range(len(absorbed))]
 
 
 def frame_times(
     start: float, end: float, speed: float, impacts: Sequence[float], slow: Sequence[float], width: float
 ) -> Array:
-    """Return the times of the frames, in order; that of an impact occurs twice, before and after it.
+    """Return the times of the frames in order [s]; the time of an impact occurs twice, for before and after.
 
-    From `start` to `end` of the motion [s], at a speed away from impacts in seconds of motion per second of
-    replay. `slow` are the times of the impacts at which it slows down; for the width see `width_of_slowness`.
+    Args:
+        start: Start of the motion [s].
+        end: End of the motion [s].
+        speed: Seconds of motion per second of replay, away from impacts.
+        impacts: Times of all impacts [s].
+        slow: Times of the impacts at which the replay slows down [s].
+        width: Result of `width_of_slowness` [s].
     """
     count = math.ceil((end - start) * FRAMES_PER_SECOND / speed) + 1
     even = np.linspace(start, end, max(2, min(count, MAX_FRAMES)))

@@ -56,12 +56,12 @@ HOLD_WITHIN = 8.0
 WITHIN = {"speed": 1.0, "slowdown": 2.0, "hold": HOLD_WITHIN, "width": 1.0, "within": True}
 """Settings of the player for one impact."""
 LISTED = 3
-"""Number of names of an impact at several contacts that are listed; more are counted."""
+"""Maximum number of names that are listed for an impact at several contacts."""
 LEVEL, NEAR = 0.99, 0.1
-"""A surface is the floor if its normal has at least this vertical component, and it is at most this part of
-the size of the scene above the lowest point."""
+"""Minimum vertical component of the normal of a floor, and its maximum height above the lowest point relative
+to the size of the scene."""
 CLOUD_FRAMES = 240
-"""Largest number of frames of a translucent motion, to limit the file."""
+"""Maximum number of frames of a translucent motion, to limit the file size."""
 LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.4
 """Lengths of the longest arrows, relative to the size of the scene."""
 
@@ -104,7 +104,7 @@ class Replay(os.PathLike[str]):
 
     def __fspath__(self) -> str:
         if self.path is None:
-            raise InputError("path: the replay was not written to a file; save() does")
+            raise InputError("path: the replay has no file; write it by save()")
         return str(self.path)
 
     def __repr__(self) -> str:
@@ -149,8 +149,8 @@ def replay(
         open: Whether to open the page in the browser.
 
     Raises:
-        InputError: A robot that is not the one of the motion, a speed that is not positive, contacts that are
-            none, a hit without its configuration.
+        InputError: A robot other than that of the motion, a speed that is not positive, contacts that are not
+            `Contact` objects, a hit without configuration.
         UnknownNameError: A contact at a frame that the robot does not have.
     """
     if isinstance(robot, (Hit, ManyHit)):
@@ -210,8 +210,8 @@ def _motion_page(
             trajectory.impacts, lambda impact: id(impact if impact.group is None else impact.group[0])
         )
     ]
-    stopped = [-sum(float(one.solution.work.compression) for one in records) for records in together]
-    slow = slowed(stopped)
+    absorbed = [-sum(float(one.solution.work.compression) for one in records) for records in together]
+    slow = slowed(absorbed)
     moments = [records[0].time for records in together]
     start, end = float(trajectory.t[0]), float(trajectory.t[-1])
     width = width_of_slowness(end - start, speed, slowdown)
@@ -250,9 +250,9 @@ def _motion_page(
 def _cloud_as_data(
     model: pin.Model, others: Sequence[Trajectory], start: float, end: float
 ) -> dict[str, Any] | None:
-    """Return motions as data for the player, and their last configurations; None without any.
+    """Return motions from `start` to `end` [s] as data for the player, and their last configurations.
 
-    From the start to the end of the replay [s]; a motion that ended earlier stays where it is.
+    A motion that ends earlier keeps its last configuration. Without motions the result is None.
     """
     if not others:
         return None
@@ -269,12 +269,12 @@ def _cloud_as_data(
 def _impact_page(
     robot: Any, impact: Hit | ManyHit | ImpactRecord, given: Sequence[Contact] | None, q: Any
 ) -> str:
-    """Return the page of one impact, in which the robot, if there is one, does not move."""
+    """Return the page of one impact, in which the robot, if any, does not move."""
     model, drawn = pin.Model() if robot is None else model_of(robot), []
     if robot is not None:
         q = impact.q if q is None and isinstance(impact, ImpactRecord) else q
         if q is None:
-            raise InputError("q: missing; a hit does not have the configuration of the robot, give q=")
+            raise InputError("q: None given; a hit does not contain the configuration of the robot, give q=")
         q = finite_array("q", q, (model.nq,))
     if isinstance(impact, ManyHit):
         names, places = [one.label for one in impact.contacts], zip(impact.points, impact.axes, strict=True)
@@ -285,14 +285,14 @@ def _impact_page(
         contacts = [impact.contact] if given is None and isinstance(impact, Hit) else given or ()
         source = contacts[0].label if isinstance(impact, Hit) else impact.source
         if robot is None:
-            assert isinstance(impact, Hit)  # a robot is left out with a hit alone
+            assert isinstance(impact, Hit)  # only a hit can be shown without a robot
             place = np.zeros(3), impact.axes
         else:
             drawn = [contact for contact in _contacts(model, contacts) if contact.label == source][:1]
             if not drawn:
                 raise InputError(
-                    f"contacts: none is called {source!r}; give contacts=, those of the scene (impacts of "
-                    "joint limits are not shown)",
+                    f"contacts: no contact is called {source!r}; give the contacts of the scene as contacts= "
+                    "(impacts of joint limits cannot be shown)",
                     value=given,
                 )
             geometry = contact_geometry(model, data_of(model), q, drawn[0])
@@ -303,7 +303,7 @@ def _impact_page(
 
 
 def _scales(marks: Sequence[ImpactMark], forces: Sequence[Array | None], size: float) -> dict[str, Any]:
-    """Return how long arrows are [m] per unit of what they show, and the largest of that."""
+    """Return the lengths of arrows [m] per unit of impulse, velocity and force, and the largest of these."""
     longest = {
         "impulse": max((mark.strength for mark in marks), default=0.0),
         "velocity": max((mark.speed for mark in marks), default=0.0),
@@ -315,7 +315,7 @@ def _scales(marks: Sequence[ImpactMark], forces: Sequence[Array | None], size: f
 
 
 def _tips(marks: Sequence[ImpactMark], reach: float) -> list[Array]:
-    """Return points (3,) around the ends of the longest arrows of impulse, [m] long, for the view."""
+    """Return points (3,) around the ends of impulse arrows of the length `reach` [m], for the view."""
     return [
         part.point + reach * (part.axes[2] + aside @ part.axes[:2])
         for mark in marks
@@ -338,24 +338,24 @@ def _page(
     solids: Sequence[Surface] = (),
     cloud: dict[str, Any] | None = None,
 ) -> str:
-    """Return the page of a motion at times (m,), in configurations of the same number."""
+    """Return the page of a motion at times (m,) with m configurations."""
     poses = joint_poses(model, configurations)
     data = data_of(model)
-    ways = np.array(
+    paths = np.array(
         [[contact_geometry(model, data, q, contact).point for q in configurations] for contact in contacts]
     ).reshape(len(contacts), len(times), 3)
     shapes = getattr(robot, "visual_model", None)
     points = outline(model, shapes, [*configurations, *([] if cloud is None else cloud.pop("ends"))])
     points = np.vstack(
-        [points, ways.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
+        [points, paths.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
     )
     points = extreme_points(points, "outline") if len(points) else np.zeros((1, 3))
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
     points = np.vstack([points, *_tips(marks, LONGEST_IMPULSE * size)])
     surfaces = []
     for surface in dict.fromkeys(contact.plane for contact in contacts):
-        met = ways[[k for k, contact in enumerate(contacts) if contact.plane == surface]]
-        surfaces.append(surface_as_data(model, surface, poses, met, size))
+        own = paths[[k for k, contact in enumerate(contacts) if contact.plane == surface]]
+        surfaces.append(surface_as_data(model, surface, poses, own, size))
     surfaces += [surface_as_data(model, solid, poses, np.zeros((0, len(times), 3)), size) for solid in solids]
     recorder = Recorder()
     links: list[tuple[int, int]] = []
@@ -386,8 +386,8 @@ def _page(
         "surfaces": surfaces,
         "lit": lit,
         "contacts": [
-            {"name": contact.label, "path": packed(way), "forces": None if force is None else packed(force)}
-            for contact, way, force in zip(contacts, ways, forces, strict=True)
+            {"name": contact.label, "path": packed(path), "forces": None if force is None else packed(force)}
+            for contact, path, force in zip(contacts, paths, forces, strict=True)
         ],
         "modes": modes,
         "cloud": cloud,
@@ -407,7 +407,7 @@ def _contacts(model: pin.Model, contacts: Sequence[Contact]) -> list[Contact]:
 
 
 def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
-    """Raise an error for a robot that cannot be the trajectory's."""
+    """Raise an error if a robot differs from that of the trajectory."""
     ours, theirs = (model.nq, model.nv), (trajectory.q.shape[1], trajectory.v.shape[1])
     if ours != theirs:
         what = "it has {} coordinates and {} velocities, the trajectory {} and {}".format(*ours, *theirs)

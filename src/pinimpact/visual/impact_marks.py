@@ -14,7 +14,7 @@ from ..contact_space.solution import Solution
 from .smooth_path import invariant_directions, smooth_path
 
 EVERY = 3
-"""A page has one of this many points of a smooth path."""
+"""Stride: a page contains every third point of a smooth path."""
 
 
 class OneImpact(Protocol):
@@ -37,14 +37,14 @@ class ContactMark:
     point: Array  # (3,) contact point, in world axes [m]
     axes: Array  # (3, 3) t₁, t₂, n as rows, in world axes
     friction: float  # μ
-    delassus: Array | None  # (3, 3) W, or None for several contacts, where slip has no flow of its own
-    velocity: Array  # (m, 3) along the impact, from before it to after it [m/s]
-    impulse: Array  # (m, 3) impulse up to then [N s]
+    delassus: Array | None  # (3, 3) W, or None for several contacts, which are coupled
+    velocity: Array  # (m, 3) contact velocity along the impact [m/s]
+    impulse: Array  # (m, 3) accumulated impulse at the same points [N s]
     segments: Sequence[tuple[str, str, float, float]]  # mode, phase, and P₃ at start and end of each
-    clock: Array | None = None  # (m,) progress of the impact at each point, 0 to 1; None for that of its P₃
+    clock: Array | None = None  # (m,) progress of the impact, 0 to 1; None: P₃ relative to its final value
 
     def as_data(self) -> dict[str, Any]:
-        """Return it as data for JSON."""
+        """Return the data for JSON."""
         p3, clock = self.impulse[:, 2], self.clock
         if clock is None:
             clock = p3 / p3[-1] if p3[-1] > 0.0 else np.linspace(0.0, 1.0, len(p3))
@@ -72,10 +72,10 @@ class ImpactMark:
 
     time: float  # time [s]
     source: str  # name of the contact, or of the joint limit
-    law: str  # of the problem, like the next two, which are None where contacts differ
-    restitution: float | None
-    friction: float | None
-    lost: float  # kinetic energy dissipated [J], < 0 if a moving surface adds energy
+    law: str  # restitution law
+    restitution: float | None  # coefficient e, or None if contacts differ
+    friction: float | None  # coefficient μ, or None if contacts differ
+    lost: float  # loss of kinetic energy [J], < 0 if a moving surface adds energy
     contacts: Sequence[ContactMark]  # the contacts that take part, none for a joint limit
     slow: bool  # whether the replay slows down for it
 
@@ -91,7 +91,7 @@ class ImpactMark:
         return float(max(ends, default=0.0))
 
     def as_data(self) -> dict[str, Any]:
-        """Return it as data for JSON."""
+        """Return the data for JSON."""
         return {
             "time": self.time,
             "source": self.source,
@@ -107,14 +107,14 @@ class ImpactMark:
 def contact_mark(
     name: str, point: Array, axes: Array, problem: ImpactProblem, solution: Solution, along: bool
 ) -> ContactMark:
-    """Return the data of one contact, with the path between before and after if `along`."""
+    """Return the data of one contact, with the whole path if `along`, else its ends."""
     clock, whole = None, solution.part_of
     if along and (whole is None or solution.path is not None):
         path = smooth_path(problem, solution)
         every = EVERY if whole is None else 1
         shown = np.unique(np.append(np.arange(0, len(path.velocity), every), len(path.velocity) - 1))
         velocity, impulse = path.velocity[shown], path.impulse[shown]
-        if whole is not None:  # all of them go through the impact together
+        if whole is not None:  # all contacts share the progress of the impact
             clock = whole.path.clock - whole.path.clock[0]
             clock = clock / clock[-1] if clock[-1] > 0.0 else np.linspace(0.0, 1.0, len(clock))
     else:
@@ -134,7 +134,11 @@ def impact_mark(
 ) -> ImpactMark:
     """Return the data of an impact for a replay, with the whole path if it is `slow`.
 
-    Each part is the name of a contact, its impact, and point (3,) and axes (3, 3) if it is drawn.
+    Args:
+        parts: For each contact its name, its impact, and point (3,) and axes (3, 3), or None if not drawn.
+        source: Name of the contact or joint limit, or of all contacts.
+        time: Time of the impact [s].
+        slow: Whether the replay slows down for it.
     """
     impacts = [impact for _, impact, _ in parts]
     problems = [impact.problem for impact in impacts]
@@ -161,5 +165,5 @@ def _same(values: Any) -> float | None:
 
 
 def short(values: Array) -> list[float]:
-    """Return numbers with as many digits as a picture needs."""
+    """Return numbers rounded to seven digits, which is enough for display."""
     return [float(f"{value:.7g}") for value in np.asarray(values, dtype=float)]

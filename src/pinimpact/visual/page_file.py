@@ -17,11 +17,11 @@ import numpy as np
 from .collada import for_viewer
 
 LARGE = 10_000
-"""Meshes and textures of at least this length are stored once and referred to by number."""
+"""Length from which meshes and textures are stored once and referred to by number [characters or bytes]."""
 
 
 class Recorder:
-    """Replaces the window of meshcat's Visualizer: it stores the commands."""
+    """A replacement of the window of meshcat's Visualizer that stores the commands."""
 
     web_url = None
 
@@ -43,13 +43,13 @@ class Recorder:
                     self._split[document] = for_viewer(document)
                 mesh["data"] = self._split[document]
             for shape in message["object"].get("geometries", ()):
-                if shape["type"] == "_meshfile":  # as the viewer calls it now
+                if shape["type"] == "_meshfile":  # its name in the present viewer
                     shape["type"] = "_meshfile_geometry"
         message = self._without_repeats(message, umsgpack.packb)
         self.commands.append(umsgpack.packb(message))
 
     def _without_repeats(self, value: Any, pack: Callable[[Any], bytes]) -> Any:
-        """Return a message with numbers for its meshes and textures, which are stored once each."""
+        """Return a message with its large meshes and textures, each stored once, replaced by numbers."""
         if isinstance(value, dict):
             return {name: self._without_repeats(part, pack) for name, part in value.items()}
         if isinstance(value, list):
@@ -68,7 +68,7 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
 
     viewer = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
     own = files(__package__) / "page"
-    # commands one after another, each with its length before it
+    # each command is preceded by its length
     whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
     return Template((own / "page.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),

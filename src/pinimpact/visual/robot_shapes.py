@@ -16,15 +16,15 @@ from .page_file import Recorder, packed
 from .shapes_in_contact import surface_points
 
 NEUTRAL = (0.62, 0.64, 0.67)
-"""Colour of shapes without any."""
+"""Colour of shapes that have none."""
 OUTLINES = 20
-"""Number of configurations of a motion for its outline."""
+"""Approximate number of configurations that determine the outline of a motion."""
 COUNT = np.arange(200.0)
 TURN, RISE = np.pi * (1.0 + np.sqrt(5.0)) * COUNT, (2.0 * COUNT + 1.0) / len(COUNT) - 1.0
 AROUND = np.column_stack([np.sqrt(1.0 - RISE**2) * np.cos(TURN), np.sqrt(1.0 - RISE**2) * np.sin(TURN), RISE])
-"""Evenly spread directions (200, 3): Fibonacci's spiral on a sphere."""
+"""Evenly distributed directions (200, 3), on a Fibonacci spiral."""
 VIEWERS_GRID = 0.5
-"""Length of the squares of the viewer's grid [m]."""
+"""Size of the squares of the viewer's grid [m]."""
 
 
 def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder) -> None:
@@ -44,8 +44,8 @@ def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder)
     display = ByJoint(model, None, shapes)
     display.initViewer(viewer=view)
     with warnings.catch_warnings():
-        # Pinocchio asks for the truth value of XML elements of Collada meshes, deprecated since Python 3.12;
-        # as an error it would leave the mesh out
+        # Pinocchio tests the truth value of XML elements of Collada meshes, deprecated since Python 3.12; if
+        # the warning were an error, the mesh would be missing
         warnings.simplefilter("ignore", DeprecationWarning)
         display.loadViewerModel()
     for shape in shapes.geometryObjects:
@@ -65,7 +65,7 @@ def _colored(shapes: pin.GeometryModel) -> pin.GeometryModel:
 
 
 def outline(model: pin.Model, shapes: Any, configurations: Sequence[Array]) -> Array:
-    """Return points (k, 3) in world axes whose hull contains a robot, at some of its configurations."""
+    """Return points (k, 3) in world axes whose convex hull contains a robot at some configurations."""
     data, found = data_of(model), [np.zeros((0, 3))]
     solids = [] if shapes is None else list(shapes.geometryObjects)
     corners = [_moved(shape.placement, extreme(surface_points(shape.geometry))) for shape in solids]
@@ -123,7 +123,7 @@ def joint_poses(model: pin.Model, configurations: Sequence[Array]) -> Array:
         forward_kinematics(model, data, q)
         for joint, placement in enumerate(data.oMi):
             poses[frame, joint] = pin.SE3ToXYZQUAT(placement)
-    for frame in range(1, len(configurations)):  # a quaternion and its negative turn alike: take the nearer
+    for frame in range(1, len(configurations)):  # ±quaternions are the same rotation: choose the nearer
         away = np.sum(poses[frame, :, 3:] * poses[frame - 1, :, 3:], axis=1) < 0.0
         poses[frame, away, 3:] *= -1.0
     return poses
@@ -139,10 +139,10 @@ def joints_as_data(poses: Array, wanted: Sequence[int]) -> dict[str, Any]:
 
 
 def skeleton(model: pin.Model) -> tuple[list[tuple[int, int]], list[list[float]]]:
-    """Return a robot without shapes as lines.
+    """Return the lines by which a robot without shapes is drawn.
 
-    These are pairs of joint and parent, except for a base that moves away from the world's origin; and each
-    frame that is away from its joint as the joint and a point in its axes.
+    These are links, as pairs of a joint and its parent (without links from the world to a translating base),
+    and spots, as a joint and the position in its axes of each frame that is not at the joint's origin.
     """
     links = [
         (int(model.parents[joint]), joint)

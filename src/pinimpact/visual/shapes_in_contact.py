@@ -21,9 +21,9 @@ ROUND = 24
 
 
 def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> list[Contact]:
-    """Return contacts without the points of collision shapes that never touch.
+    """Return contacts without those of collision shapes that are never closed.
 
-    For a surface with such points only, one of each shape is kept.
+    If a surface has only such contacts, one contact of each shape is kept.
     """
     touched = {mode.source for mode in trajectory.modes} | {impact.source for impact in trajectory.impacts}
     kept = [contact for contact in contacts if contact.shape is None or contact.label in touched]
@@ -83,13 +83,13 @@ def _triangles(solid: Any) -> Array:
     points = surface_points(solid)
     try:
         corners: Array = points[ConvexHull(points).simplices]
-    except QhullError:  # flat: it has no inside
+    except QhullError:  # flat: it has no volume
         corners = points[: len(points) // 3 * 3].reshape(-1, 3, 3)
     return corners
 
 
 def surface_points(solid: Any) -> Array:
-    """Return points (n, 3) whose hull is a shape, approximately for round shapes."""
+    """Return points (n, 3) whose convex hull is a shape, approximately for round shapes."""
     if hasattr(solid, "vertices"):
         return np.array(solid.vertices(), dtype=np.float64)
     if hasattr(solid, "points"):

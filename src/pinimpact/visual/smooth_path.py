@@ -1,4 +1,4 @@
-"""The path of one impact, dense enough to be drawn."""
+"""The path of one impact, with enough points to be drawn."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
     path = solution.path
     if path is None:
         path = solve_impact(problem, record=True).path
-        assert path is not None  # it was asked for
-    if len(path.impulse) == 0:  # no impact: the velocity stays what it was
+        assert path is not None  # record=True
+    if len(path.impulse) == 0:  # no impact: the velocity is constant
         start = np.asarray(problem.velocity, dtype=float)
         return Path(np.zeros(2), np.array([start, start]), np.zeros((2, 3)))
     return path
@@ -40,8 +40,8 @@ class Solved(NamedTuple):
 def parts_at(problem: ImpactProblem, solution: ManySolution) -> list[Solved]:
     """Return the parts of an impact at the contacts, with paths if its policy has any.
 
-    A solution without ``record=True`` is solved again; the result must then be the same, since options of the
-    policy are not known here.
+    A problem solved without ``record=True`` is solved again. Options of the policy are not known here, so the
+    path is used only if the impulses are the same.
     """
     path, count = solution.path, len(solution.velocity)
     if path is None:
@@ -78,6 +78,6 @@ def invariant_directions(problem: ImpactProblem) -> Array:
     if abs(coefficients[0]) < 64.0 * EPS:
         coefficients = coefficients[1:-1]
     roots = np.roots(coefficients)
-    # of a double root half of the digits are right
+    # a double root is accurate to half of the digits
     angles = np.angle(roots[np.abs(np.abs(roots) - 1.0) < 64.0 * HALF_DIGITS])
     return np.unique(np.round(angles, 9))

@@ -24,7 +24,7 @@ REACH = 0.1
 
 
 def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
-    """Return the joint to which a surface is attached, 0 for the world, and its placement there."""
+    """Return the joint to which a surface is attached, 0 for the world, and its placement in the joint."""
     if surface.body is None:
         return 0, pin.SE3.Identity()
     frame = model.frames[frame_id(model, surface.body, "body")]
@@ -34,18 +34,26 @@ def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
 def surface_as_data(
     model: pin.Model, surface: Surface, poses: Array, points: Array, scale: float
 ) -> dict[str, Any]:
-    """Return a surface as data for the player, for poses (frames, joints, 7) in a scene of a size [m].
+    """Return a surface as data for the player.
 
-    Its material has the velocity "slide" in the middle of the drawn shape and the angular velocity "spin",
-    both in the axes of that shape [m/s, rad/s]. The points (k, frames, 3) are contacts with it, in world
-    axes.
+    "slide" [m/s] is the velocity of the material at the centre of the drawn shape, and "spin" [rad/s] its
+    angular velocity, both in the axes of that shape.
+
+    Args:
+        model: The robot.
+        surface: The surface.
+        poses: (frames, joints, 7) poses of the joints.
+        points: (k, frames, 3) contact points on the surface, in world axes.
+        scale: Size of the scene [m].
     """
     joint, place = carrier(model, surface)
     views = [
         (pin.XYZQUATToSE3(pose) * place).inverse()
         for pose in (poses[:, joint] if joint else poses[:1, 0].repeat(poses.shape[0], axis=0))
     ]
-    local = np.array([[at.act(p) for at, p in zip(views, way, strict=True)] for way in points]).reshape(-1, 3)
+    local = np.array([[at.act(p) for at, p in zip(views, path, strict=True)] for path in points]).reshape(
+        -1, 3
+    )
     kind, size, inner = _SOLIDS[type(surface)](surface, local, scale)
     matrix = place.homogeneous @ inner
     spin = np.asarray(surface.angular_velocity)
@@ -61,7 +69,7 @@ def surface_as_data(
 
 
 def _plate(plane: Plane, points: Array, scale: float) -> tuple[str, list[float], Array]:
-    """Return the part of a plane near the points, as a thin plate with a margin, and its place."""
+    """Return the part of a plane near the points, as a thin plate with a margin, and its placement."""
     axes = contact_axes(plane.normal)
     local = (points - np.asarray(plane.point)) @ axes.T
     near = local[np.abs(local[:, 2]) < REACH * scale]
@@ -76,14 +84,14 @@ def _plate(plane: Plane, points: Array, scale: float) -> tuple[str, list[float],
 
 
 def _ball(sphere: Sphere, *_: Any) -> tuple[str, list[float], Array]:
-    """Return a whole sphere, and its place."""
+    """Return a sphere and its placement."""
     matrix = np.eye(4)
     matrix[:3, 3] = sphere.center
     return "sphere", [sphere.radius, sphere.radius, sphere.radius], matrix
 
 
 def _block(box: Box, *_: Any) -> tuple[str, list[float], Array]:
-    """Return a whole box, and its place."""
+    """Return a box and its placement."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = pin.rpy.rpyToMatrix(*box.rpy), box.center
     return "plane", list(box.size), matrix
@@ -94,4 +102,4 @@ _SOLIDS: dict[type[Surface], Callable[[Any, Array, float], tuple[str, list[float
     Sphere: _ball,
     Box: _block,
 }
-"""Drawn shape of each kind of surface: (surface, points in its axes, scale) -> kind, size, place."""
+"""Drawn shape of each kind of surface: (surface, points in its axes, scale) -> kind, size, placement."""

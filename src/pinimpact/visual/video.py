@@ -15,7 +15,7 @@ from ..errors import InputError
 from .browser import find_browser, open_page
 
 COLORS = 128
-"""Number of colours of a GIF that cover most of it, and of those that differ most."""
+"""Number of colours of a GIF that are most frequent, and of those that cover the range of colours."""
 FILMS = (".mp4", ".webm", ".mkv", ".mov")
 """Formats written by ffmpeg."""
 
@@ -25,12 +25,12 @@ def write_video(
 ) -> Path:
     """Write a replay as a video.
 
-    The frames are drawn by a headless browser (Chromium, Chrome or Edge). Without one the button "video" of
-    the page does the same in any browser.
+    The frames are drawn by a headless browser (Chromium, Chrome or Edge). Without one, use the button "video"
+    of the page in any browser.
 
     Args:
-        page: The page of what `pinimpact.replay` returned.
-        path: Ends in .gif, .mp4, .webm, .mkv or .mov.
+        page: The attribute ``html`` of a `Replay`.
+        path: A path that ends in .gif, .mp4, .webm, .mkv or .mov.
         rate: Frames per second, > 0; at most 50 for a GIF.
         size: Width and height of the window [px].
 
@@ -50,13 +50,13 @@ def write_video(
     ffmpeg = shutil.which("ffmpeg")
     if kind in FILMS and ffmpeg is None:
         raise InputError(
-            f"path: ffmpeg, which makes {kind} films, is not installed; a .gif needs none", value=path
+            f"path: {path.name!r} given, but ffmpeg is not installed; install it, or write a .gif", value=path
         )
     browser = find_browser()
     if browser is None:
         raise InputError(
-            "path: there is no Chromium, Chrome or Edge to draw the frames; open the replay in a browser and "
-            'press its button "video"',
+            "path: no Chromium, Chrome or Edge is installed to draw the frames; open the replay in a browser "
+            'and press its button "video"',
             value=path,
         )
     if kind == ".gif":
@@ -65,13 +65,13 @@ def write_video(
     if kind == ".gif":
         _write_gif(frames, path, rate)
     else:
-        assert ffmpeg is not None  # looked for above
+        assert ffmpeg is not None  # checked above
         _write_film(frames, path, rate, ffmpeg)
     return path
 
 
 def _frames(text: str, browser: str, rate: float, size: tuple[int, int], kind: str) -> list[bytes]:
-    """Return the pictures of a film as files of a kind."""
+    """Return the frames as image files in the format `kind`."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
         page.write_text(text, encoding="utf-8")
@@ -88,7 +88,7 @@ def _write_gif(frames: list[bytes], path: Path, rate: float) -> None:
     from PIL import Image
 
     pictures = [Image.open(BytesIO(frame)).convert("RGB") for frame in frames]
-    # the same colours in all of them, without dither, so that a picture holds only what changes
+    # one palette and no dither, so that each frame stores only the pixels that change
     some = pictures[:: max(1, len(pictures) // 6)]
     together = Image.new("RGB", (some[0].width, some[0].height * len(some)))
     for k, picture in enumerate(some):

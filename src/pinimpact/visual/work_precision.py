@@ -1,4 +1,4 @@
-"""Work-precision diagrams: error against time, on logarithmic axes."""
+"""Work-precision diagrams: error over run time, on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -12,28 +12,27 @@ from matplotlib.figure import Figure
 
 COLUMNS = 4
 ROUNDING = float(np.finfo(float).eps)
-"""Smallest error that is drawn: relative ones below it are rounding."""
-
+"""Smallest relative error that is drawn; smaller ones are rounding errors."""
 
 Curve = tuple[str, Sequence[tuple[float, float]], Mapping[str, Any]]
-"""Label, times [s] and errors, without a point where the error is NaN, and the style of the line."""
+"""Label, points (time [s], error), which are omitted where the error is NaN, and line style."""
 
 
 def draw_work_precision(panels: Mapping[str, Sequence[Curve]], path: str | Path) -> None:
-    """Draw error against time as PNG: curves of panels by title, later ones below earlier ones."""
+    """Draw error over time as PNG: panels by title, with their curves; the first curve is on top."""
     columns = min(COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
     figure = Figure(figsize=(3.4 * columns + 0.6, 3.0 * rows + 0.9), layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, (title, curves) in zip(grid, panels.items(), strict=False):
-        for below, (label, measured, style) in enumerate(curves):
+        for number, (label, measured, style) in enumerate(curves):
             points = [(time, error) for time, error in measured if not math.isnan(error)]
             axes.loglog(
                 [1e6 * time for time, _ in points],
                 [max(error, ROUNDING) for _, error in points],
                 linewidth=1,
                 label=label,
-                zorder=3 - below / len(curves),
+                zorder=3 - number / len(curves),
                 **{"marker": "^", "markersize": 4.0, **style},
             )
         axes.set_title(title, fontsize=10)

@@ -22,7 +22,7 @@ def distributions(columns: Mapping[str, NDArray[Any]]) -> Figure:
     """Draw columns of numbers as histograms with median and 90 % range, those of text as bars.
 
     Args:
-        columns: Arrays (n,) by name; entries without a number are left out. Infinite ones are not drawn.
+        columns: Arrays (n,) by name; NaN is omitted, and infinite values count for quantiles only.
     """
     from matplotlib import pyplot
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 POINTS = 800
-"""Smallest number of points over a motion."""
+"""Minimum number of points over a motion."""
 WORKS = (("control", RESTITUTION), ("joints", SKY), ("friction", RESUMED), ("surface", GREEN))
 MODES = {
     "slip": COMPRESSION,
@@ -48,7 +48,7 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
         UnknownNameError: A robot without a contact's frame.
     """
     if not trajectory.contacts:
-        raise InputError("trajectory: it has no contacts whose gaps can be drawn")
+        raise InputError("trajectory: it has no contacts, so there are no gaps to draw")
     model = model_of(robot)
     ax = axes_for(ax, (8.0, 3.0))
     times, sides = moments(trajectory)
@@ -108,8 +108,8 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the change of kinetic plus potential energy over time, and the work of each cause.
 
-    Work is integrated with the motion, and is drawn between samples, too; the energy differs from their sum
-    by the energy residual of the samples.
+    Work is integrated with the motion and known between samples. The energy differs from the sum of the work
+    by the energy residual, which is interpolated between samples.
     """
     ax = axes_for(ax, (8.0, 4.0))
     times, sides = moments(trajectory)
@@ -178,7 +178,7 @@ def overview(
 
 
 def moments(trajectory: Trajectory) -> tuple[Array, list[Any]]:
-    """Return times to draw at, with their sides: the ends of each step from within, and points between."""
+    """Return times at which to draw, with their sides: points in each step, and its ends from within."""
     edges = np.unique(trajectory.t)
     if len(edges) == 1:
         return edges, ["right"]

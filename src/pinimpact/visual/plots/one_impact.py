@@ -26,9 +26,10 @@ Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem
 
 
 def solved(impact: Impact, contact: int | None = None) -> OneImpact:
-    """Return the impact to draw, of one contact by its index if it is at many; a problem is solved first.
+    """Return the impact to draw, at the contact with an index if there are many; a problem is solved first.
 
-    Raises `InputError` for what is none, no such contact, and many contacts by a policy without a path.
+    Raises:
+        InputError: Not an impact; an index out of range; many contacts and a policy without a path.
     """
     if isinstance(impact, ImpactProblem):
         impact = Solved(impact, solve_impact(impact, record=True))
@@ -55,8 +56,8 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
     count = len(solution.velocity)
     if not isinstance(contact, (int, np.integer)) or not 0 <= contact < count:
         raise InputError(
-            f"contact: {in_short(contact)} given; the impact has {count} contacts: give the number of "
-            f"one, 0 to {count - 1}",
+            f"contact: {in_short(contact)} given; the impact has {count} contacts, an index from 0 to "
+            f"{count - 1} is expected",
             value=contact,
         )
     part = parts_at(problem, solution)[contact]
@@ -67,8 +68,8 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
 
 def _pathless(solution: ManySolution) -> InputError:
     return InputError(
-        f'impact: the solution by {solution.simultaneous!r} has no path to draw; use "propagate", '
-        "with record=True if it has options",
+        f'impact: the solution by {solution.simultaneous!r} has no path to draw; solve it with "propagate", '
+        "and with record=True if you set further options",
         value=solution,
     )
 
@@ -90,8 +91,8 @@ def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = N
 
     The background shows the flow of slip dvₜ/dP₃ = b − μ A vₜ/|vₜ|, the invariant directions, along which
     slip does not turn (solid if attracting, dashed if repelling), and, shaded, the directions with a negative
-    normal acceleration, dv₃/dP₃ < 0 (jam). For an impact at many contacts it is empty; there thin lines are
-    impulses of other contacts.
+    normal acceleration, dv₃/dP₃ < 0 (jam). For an impact at many contacts there is no background; thin lines
+    show changes of velocity by impulses at other contacts.
 
     Args:
         impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved; a `ManyHit` or a
@@ -100,7 +101,7 @@ def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = N
         ax: Axes to draw into.
 
     Raises:
-        InputError: Not an impact; no such contact; many contacts and a policy without a path.
+        InputError: Not an impact; an index out of range; many contacts and a policy without a path.
     """
     impact = solved(impact, contact)
     ax = axes_for(ax, (5.6, 6.4))
@@ -200,8 +201,7 @@ def energy_ledger(impact: Impact, *, contact: int | None = None, ax: Axes | None
 def parts(path: Path, segments: tuple[Segment, ...]) -> list[tuple[Segment, slice]]:
     """Return the points of a path in each segment; adjacent segments share a point.
 
-    Ends of segments and points of the path are sums of the same numbers in different orders, so the closest
-    point is taken.
+    Ends of segments and points of the path differ by rounding, so the closest point is chosen.
     """
     p3 = path.normal_impulse
     found, start = [], 0
@@ -213,7 +213,7 @@ def parts(path: Path, segments: tuple[Segment, ...]) -> list[tuple[Segment, slic
 
 
 def _mark_segments(ax: Axes, solution: Solution, title: str, unit: str) -> Axes:
-    """Finish axes over the normal impulse."""
+    """Mark stick and the end of compression, and label axes over the normal impulse."""
     compressed = [segment.end for segment in solution.segments if segment.phase == "compression"]
     for segment in solution.segments:
         if segment.mode == "stick":

@@ -27,19 +27,19 @@ REGIMES = (
     ("comes to stick", "#f4d38a"),
     ("slip stops and resumes", "#e3b3cb"),
 )
-"""Names and colours; the last one that applies is drawn."""
+"""Names and colours of regimes; `classified` returns their indices."""
 
 MARKED = ((Flag.JAM, "jam", "////"), (Flag.SECOND_COMPRESSION, "second compression", "...."))
-"""Hatched flags."""
+"""Flags with names and hatches."""
 
 
 def _over_grid(
     problem: ImpactProblem, turns: bool, most: float, resolution: int
 ) -> tuple[Array, Array, BatchSolution]:
-    """Return μ up to `most` (n,), angle or restitution (n,), and the impacts of all pairs, row by row."""
+    """Return n values of μ up to `most`, n angles or restitutions, and the impacts of all pairs."""
     v = np.asarray(problem.velocity, dtype=float)
     low, high = (-np.pi, np.pi) if turns else (0.0, 1.0)
-    middles = (np.arange(resolution) + 0.5) / resolution  # beside lines of symmetry, where all is special
+    middles = (np.arange(resolution) + 0.5) / resolution  # not on lines of symmetry, which are exceptional
     mu, other = most * middles, low + (high - low) * middles
     all_mu, all_other = (values.ravel() for values in np.meshgrid(mu, other))
     velocity = np.tile(v, (len(all_mu), 1))
@@ -70,8 +70,8 @@ def regime_map(
         ax: Axes to draw into.
 
     Raises:
-        InputError: Not an impact, one at many contacts, an unknown `against`, an impact without slip drawn
-            over its angle.
+        InputError: Not an impact, an impact at many contacts, an unknown `against`, or the slip angle of an
+            impact that begins without slip.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
@@ -86,7 +86,7 @@ def regime_map(
         )
     if against == "slip angle" and speed == 0.0:
         raise InputError(
-            'against: the impact begins without slip, so there is no angle to vary; "restitution" can be',
+            'against: "slip angle" given, but the impact begins without slip; "restitution" is possible',
             value=against,
         )
     threshold = float(np.linalg.norm(np.linalg.pinv(w[:2, :2]) @ w[:2, 2]))
@@ -130,7 +130,7 @@ def regime_map(
 
 
 def classified(status: Integers, flags: Integers) -> tuple[Integers, list[Bools]]:
-    """Return the index in `REGIMES` of each of N impacts, and where each of `MARKED` applies."""
+    """Return the index in `REGIMES` of each of N impacts, and for each of `MARKED` where its flag is set."""
     codes = np.full(status.shape, 2)
     codes[(flags & int(Flag.STICK)) != 0] = 3
     codes[(flags & int(Flag.SLIP_RESUMED)) != 0] = 4

@@ -28,7 +28,8 @@ def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
         ax: Axes to draw into; three-dimensional (``projection="3d"``) unless the impact is planar.
 
     Raises:
-        InputError: Not an impact, one at many contacts, or flat axes for an impact that is not planar.
+        InputError: Not an impact, an impact at many contacts, or two-dimensional axes for an impact that is
+            not planar.
     """
     check_alone(impact, "impulse_space")
     impact = solved(impact)
@@ -38,7 +39,8 @@ def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
     solid = direction is None if ax is None else ax.name == "3d"
     if not solid and direction is None:
         raise InputError(
-            'ax: the impact does not stay in one plane; give axes made with projection="3d"', value=ax
+            'ax: two-dimensional axes given, but the impact is not planar; use projection="3d"',
+            value=ax,
         )
     if solid:
         ax = axes_for(ax, (6.0, 6.0), projection="3d")
@@ -59,7 +61,7 @@ def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
 
 
 def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
-    """Return the tangential direction of the plane in which an impact stays, or None."""
+    """Return the tangential direction of the plane of a planar impact, or None."""
     w = np.asarray(problem.delassus, dtype=float)
     velocity = np.asarray(problem.velocity, dtype=float)
     vectors = np.vstack([impulse[:, :2], velocity[None, :2], w[None, :2, 2]])
@@ -76,7 +78,7 @@ def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
 
 
 def _reach(problem: ImpactProblem, impulse: Array) -> tuple[float, float]:
-    """Return the height and the half-width of the picture [N s]."""
+    """Return the height and half the width of the plot [N s]."""
     top = 1.12 * float(impulse[-1, 2]) or 1.0
     aside = max(
         1.25 * float(np.abs(impulse[:, :2]).max()), min(float(problem.friction), 1.0) * top, 0.15 * top
@@ -103,13 +105,13 @@ def _draw_flat(ax: Any, problem: ImpactProblem, impulse: Array, direction: Array
 def _line(
     ax: Any, along: float, up: float, start: float, name: str, color: str, dash: str, aside: float, top: float
 ) -> None:
-    """Draw start + along Pₜ + up P₃ = 0 across the picture."""
+    """Draw the line start + along Pₜ + up P₃ = 0 across the plot."""
     if along == up == 0.0:
         return
     reach = 4.0 * np.hypot(aside, top)
     foot = -start * np.array([along, up]) / (along**2 + up**2)
-    way = reach * np.array([-up, along]) / np.hypot(along, up)
-    ends = np.array([foot - way, foot + way])
+    half = reach * np.array([-up, along]) / np.hypot(along, up)
+    ends = np.array([foot - half, foot + half])
     ax.plot(ends[:, 0], ends[:, 1], dash, color=color, lw=1.5, label=name)
 
 

@@ -1,4 +1,4 @@
-"""Colours for colour-blind readers (Okabe and Ito), axes on demand, and legends beside them."""
+"""Colours for colour-blind readers (Okabe and Ito), axes and legends of plots."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 COMPRESSION, RESTITUTION, STICK, RESUMED = "#d55e00", "#0072b2", "#e69f00", "#cc79a7"
 GREEN, SKY, BLACK, FLOW = "#009e73", "#56b4e9", "black", "#a3abb3"
 CYCLE = (RESTITUTION, COMPRESSION, GREEN, RESUMED, STICK, SKY, BLACK)
-"""Colours of items without a meaning of their own."""
+"""Colours of items that have no fixed colour."""
 
 
 def axes_for(ax: Any, size: tuple[float, float] = (6.4, 4.4), **options: Any) -> Any:
-    """Return the axes that are given, or those of a new figure [in], which pyplot shows where it can."""
+    """Return the given axes, or those of a new pyplot figure of this size [in]."""
     if ax is not None:
         return ax
     from matplotlib import pyplot
@@ -25,7 +25,7 @@ def axes_for(ax: Any, size: tuple[float, float] = (6.4, 4.4), **options: Any) ->
 
 
 def legend(ax: Axes, below: bool = False, columns: int = 3, handles: Sequence[Any] | None = None) -> None:
-    """Put a legend to the right of axes or below them, each name once; of `handles` alone if given."""
+    """Put a legend to the right of axes or below them, each name once; with `handles` only if given."""
     once: dict[str, Any] = {}
     found: Sequence[Any] = ax.get_legend_handles_labels()[0] if handles is None else handles
     for handle in found:
@@ -34,8 +34,8 @@ def legend(ax: Axes, below: bool = False, columns: int = 3, handles: Sequence[An
         return
     place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
     if below:
-        # under the tick labels and the name of the axis, in parts of the size of the letters
+        # below tick and axis labels; the distance is relative to the font size
         place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 5.0, "ncols": columns}
-    if ax.name == "3d":  # whose room is as large as the figure, with space above what is drawn
+    if ax.name == "3d":  # these axes fill the figure, with free space at the top
         place |= {"bbox_to_anchor": (0.5, 1.0), "borderaxespad": 0.0}
     ax.legend(once.values(), once.keys(), fontsize="small", frameon=False, **place)
