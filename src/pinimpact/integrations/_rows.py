@@ -1,4 +1,4 @@
-"""Impacts of many rows with their Jacobian matrices, as functions of NumPy arrays."""
+"""Impacts of many rows and their derivatives, as functions of NumPy arrays."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ Of = TypeVar("Of")
 
 
 def refuse_single_precision(kind: Any, name: str, remedy: str) -> None:
-    """Raise `InputError` for an argument whose type of numbers is not float64."""
+    """Raise `InputError` if the dtype of an argument is not float64."""
     if "float64" not in str(kind):
         raise InputError(f"{name}: {kind} given, double precision expected; {remedy}", value=kind)
 
 
 class ContactRows:
-    """v⁺ (…, 3) and P (…, 3) of impacts in contact space, of W (…, 3, 3), v° (…, 3), μ (…) and e (…)."""
+    """v⁺ (…, 3) and P (…, 3) of impacts in contact space, from W (…, 3, 3), v° (…, 3), μ (…) and e (…)."""
 
     names = ("delassus", "velocity", "friction", "restitution")
-    inputs = (2, 1, 0, 0)  # axes of one row of each
+    inputs = (2, 1, 0, 0)  # number of axes of one row of each
 
     def __init__(self, law: str) -> None:
-        law_code(law)  # an unknown one is an error here, not in a callback
+        law_code(law)  # raises an error for an unknown law here instead of in a callback
         self.law = law
 
     def outputs(self, shapes: Sequence[tuple[int, ...]]) -> tuple[int, int]:
-        """Return the lengths of v⁺ and P; refuse other shapes of W and v°."""
+        """Return the lengths of v⁺ and P; raise `InputError` for wrong shapes of W and v°."""
         _check_shapes(self.names, shapes, ((3, 3), (3,)))
         return 3, 3
 
@@ -50,7 +50,7 @@ class ContactRows:
         return _reshaped((batch.velocity, batch.impulse), lead)
 
     def slopes(self, *given: Array) -> tuple[Array, ...]:
-        """Return the values, then the derivatives of v⁺ by each argument, then those of P."""
+        """Return v⁺ and P, the derivatives of v⁺ with respect to each argument, and those of P."""
         lead, (w, v, mu, e) = _rows(given, self.inputs)
         batch = solve_impacts(w, v, mu, e, self.law, derivatives=True)
         d = batch.derivatives
@@ -61,9 +61,9 @@ class ContactRows:
 
 
 class RobotRows:
-    """v⁺ (…, nv) of a robot's impacts at a contact, of q (…, nq), v (…, nv), μ (…) and e (…).
+    """v⁺ (…, nv) of a robot's impacts at a contact, from q (…, nq), v (…, nv), μ (…) and e (…).
 
-    A function e(v) of the contact is kept, with its slope, if `own` is true; e is without effect then.
+    If `own` is true, the restitution of the contact, which may be a function e(v), replaces the argument e.
     """
 
     names = ("q", "v", "friction", "restitution")
@@ -79,18 +79,18 @@ class RobotRows:
         locked: Sequence[str | int],
     ) -> None:
         self.model, self.data, self.contact, self.own = model_of(model), data, contact, own
-        self.also: dict[str, Any] = {"held": held, "locked": locked}
+        self.options: dict[str, Any] = {"held": held, "locked": locked}
         self.table = joint_table(self.model)
 
     def coefficients(self, friction: Any, restitution: Any) -> tuple[Any, Any]:
-        """Return μ and e as given, or those of the contact; 0 in place of a function e(v)."""
+        """Return μ and e as given, or those of the contact, with 0 for a function e(v)."""
         mu = self.contact.friction if friction is None else friction
         if not self.own:
             return mu, restitution
         return mu, 0.0 if callable(self.contact.restitution) else self.contact.restitution
 
     def outputs(self, shapes: Sequence[tuple[int, ...]]) -> tuple[int]:
-        """Return the length of v⁺; refuse q and v of another length."""
+        """Return the length of v⁺; raise `InputError` for wrong lengths of q and v."""
         _check_shapes(self.names, shapes, ((self.model.nq,), (self.model.nv,)))
         return (self.model.nv,)
 
@@ -98,11 +98,11 @@ class RobotRows:
         """Return v⁺, NaN for rows without a solution."""
         lead, (q, v, mu, e) = _rows(given, self.inputs)
         restitution = None if self.own else e
-        hits = impacts(self.model, self.data, q, v, self.contact, mu, restitution, **self.also)
+        hits = impacts(self.model, self.data, q, v, self.contact, mu, restitution, **self.options)
         return _reshaped((hits.v,), lead)
 
     def slopes(self, *given: Array) -> tuple[Array, ...]:
-        """Return v⁺ and its derivatives by q, v, μ and e; NaN for rows without a solution."""
+        """Return v⁺ and its derivatives with respect to q, v, μ and e; NaN for rows without a solution."""
         lead, rows = _rows(given, self.inputs)
         count, nq, nv = len(rows[0]), self.model.nq, self.model.nv
         shapes = (nv,), (nv, nq), (nv, nv), (nv,), (nv,)
@@ -111,11 +111,11 @@ class RobotRows:
             restitution = self.contact.restitution if self.own else float(e)
             contact = replace(self.contact, friction=float(mu), restitution=restitution)
             try:
-                d = impact_derivatives(self.model, self.data, q, v, contact, **self.also)
+                d = impact_derivatives(self.model, self.data, q, v, contact, **self.options)
             except (UnstoppableApproachError, LawError):
                 continue
             rates = coordinate_rates(self.table, q, nv)
-            # columns at right angles: their left inverse, which takes no notice of changes off the space
+            # left inverse of the orthogonal columns: changes of q off the configuration space have no effect
             by_coordinates = d.dv_dq @ (rates / (rates**2).sum(axis=0)).T
             for out, value in zip(
                 found, (d.v, by_coordinates, d.dv_dv, d.dv_dfriction, d.dv_drestitution), strict=True
@@ -128,7 +128,7 @@ class RowFunctions(Generic[Of]):
     """The functions of `pinimpact.integrations.jax` and `pinimpact.integrations.torch`.
 
     Args:
-        call: Evaluates rows at arrays of the library, with their derivatives.
+        call: Function that evaluates rows and their derivatives for arrays of the library.
     """
 
     def __init__(self, call: Callable[..., tuple[Of, ...]]) -> None:
@@ -140,7 +140,7 @@ class RowFunctions(Generic[Of]):
         """Return v⁺ (..., 3) and P (..., 3) of impacts in contact space, by the method "exact".
 
         Args:
-            delassus: (..., 3, 3) symmetric W [1/kg]; of a change of it the symmetric part counts.
+            delassus: (..., 3, 3) symmetric W [1/kg]; derivatives use the symmetric part of a change.
             velocity: (..., 3) contact velocities before the impact [m/s].
             friction: (...) coefficients μ.
             restitution: (...) coefficients e.
@@ -167,11 +167,12 @@ class RowFunctions(Generic[Of]):
     ) -> Of:
         """Return the velocities (..., nv) of a robot after impacts.
 
-        Derivatives by q are those along the configuration space: the length of a quaternion has no effect.
+        Derivatives with respect to q are those along the configuration space: a change of the length of a
+        quaternion has no effect.
 
         Args:
             model: Pinocchio model, or a RobotWrapper.
-            data: Its data, which change.
+            data: Its data, which are overwritten.
             q: (..., nq) configurations.
             v: (..., nv) velocities before the impact.
             contact: The contact that collides: a point or a sphere on a Plane or a Sphere.
@@ -198,7 +199,7 @@ def _check_shapes(
 
 
 def _rows(given: Sequence[Array], axes: Sequence[int]) -> tuple[tuple[int, ...], list[Array]]:
-    """Return the leading shape that the arguments have in common, and the arguments with one leading axis."""
+    """Return the common leading shape of the arguments, and the arguments with one leading axis."""
     arrays = [np.asarray(array, dtype=np.float64) for array in given]
     shapes = [array.shape[: array.ndim - n] for array, n in zip(arrays, axes, strict=True)]
     lead = np.broadcast_shapes(*shapes)

@@ -28,17 +28,17 @@ except ImportError as error:
 class ActionModelImpact(crocoddyl.ActionModelAbstract):
     """An instantaneous impact with friction and restitution: x = (q, v) → (q, v⁺), without control.
 
-    The costs are those of the state before the impact, as of Crocoddyl's own impulse dynamics. Where v⁺ does
-    not exist or has no derivative it is NaN. This includes v = 0, the first guess of solvers by default: give
-    them another one, for instance ``problem.rollout(us)``.
+    The costs are evaluated at the state before the impact, as in Crocoddyl's impulse dynamics. States and
+    derivatives that do not exist are NaN. This includes v = 0, the default initial guess of solvers: give
+    another one, for instance ``problem.rollout(us)``.
 
     Args:
         state: A `crocoddyl.StateMultibody`; its model is the robot.
-        contacts: The contact that collides, or a sequence of those that are closed at this instant.
+        contacts: The contact that collides, or a sequence of the active contacts at this instant.
         costs: A `crocoddyl.CostModelSum` with nu = 0.
 
     Raises:
-        InputError: No contact; a Crocoddyl that was built for another version of Pinocchio.
+        InputError: No contact, or a Crocoddyl that was built for another version of Pinocchio.
     """
 
     def __init__(self, state: Any, contacts: Contact | Sequence[Contact], costs: Any) -> None:
@@ -78,7 +78,7 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
             return np.full(model.nv, np.nan)
 
     def _slopes(self, data: ActionData, q: Any, v: Any) -> Any:
-        """Return ∂v⁺/∂x. An error that passes through Crocoddyl ends the process, so NaN stands for it."""
+        """Return ∂v⁺/∂x (nv, 2 nv); NaN instead of an error, which in Crocoddyl would end the process."""
         model = self.state.pinocchio
         try:
             d = impact_derivatives(model, data.impact, q, v, self.contacts)
@@ -90,8 +90,8 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
 class ActionModelStep(crocoddyl.ActionModelAbstract):
     """A step of a scene under constant forces u, through all impacts and contact modes of the step.
 
-    The costs are those of the state before the step and of u. Where there is no motion, such as from below a
-    surface, or no derivative, there is NaN.
+    The costs are evaluated at the state before the step and u. States and derivatives that do not exist, such
+    as those from a state below a surface, are NaN.
 
     Args:
         scene: The scene, without control.
@@ -101,7 +101,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
         **options: Further arguments of `Stepper`.
 
     Raises:
-        InputError: Another nu; a scene whose steps are not differentiated; a Crocoddyl that was built for
+        InputError: Another nu, a scene whose steps have no derivatives, or a Crocoddyl that was built for
             another version of Pinocchio.
     """
 
@@ -122,7 +122,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
         return ActionData(self)
 
     def calc(self, data: ActionData, x: Any, u: Any = None) -> None:
-        """Set `xnext` and `cost`; without u the cost of the state alone."""
+        """Set `xnext` and `cost`; without u, the cost of the state alone."""
         q, v = _observed(self.state.pinocchio, data, x)
         if u is None:
             self.costs.calc(data.costs, x)
@@ -154,7 +154,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
         return np.concatenate((np.zeros(self.state.nv - self.nu), u))
 
     def _at(self, data: ActionData, q: Any, v: Any) -> Stepper:
-        """Return a stepper in a state."""
+        """Return the stepper of the data, reset to a state."""
         if data.stepper is None:
             data.stepper = Stepper(self.scene, q, v, **self.options)
         else:
@@ -176,7 +176,7 @@ class ActionData(crocoddyl.ActionDataAbstract):
 
 
 def _observed(model: pin.Model, data: ActionData, x: Any, slopes: bool = False) -> tuple[Any, Any]:
-    """Return q and v of a state; fill kinematics there for the costs, with derivatives if `slopes`."""
+    """Return q and v of a state; compute the kinematics for the costs, with derivatives if `slopes`."""
     q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
     if slopes:
         pin.computeForwardKinematicsDerivatives(model, data.pinocchio, q, v, np.zeros(model.nv))
@@ -189,7 +189,7 @@ def _observed(model: pin.Model, data: ActionData, x: Any, slopes: bool = False) 
 
 @cache
 def _check_gravity() -> None:
-    """Raise `InputError` if a body does not fall: with a Pinocchio for which this Crocoddyl was not built."""
+    """Raise `InputError` if a body does not fall: this Crocoddyl was built for another Pinocchio."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "z")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())

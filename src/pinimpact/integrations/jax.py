@@ -1,8 +1,8 @@
-"""Impacts as functions of JAX, by callbacks, with derivatives forwards and backwards.
+"""Impacts as functions of JAX, by callbacks, with derivatives in forward and reverse mode.
 
 They can be transformed by `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jacfwd` and `jax.jacrev`; there are no
 second derivatives. Arguments are broadcast to a common leading shape (...), in double precision. Rows without
-a solution are NaN, and so are derivatives that do not exist, see `Boundary`. (docs/derivatives.md, 7)
+a solution and derivatives that do not exist (`Boundary`) are NaN. (docs/derivatives.md, 7)
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
     sizes = rows.outputs([array.shape for array in arrays])
     parts = [array.ndim - n for array, n in zip(arrays, rows.inputs, strict=True)]
     lead = jnp.broadcast_shapes(*(array.shape[:k] for array, k in zip(arrays, parts, strict=True)))
-    # `jax.vmap` adds its axis in front of each: they must have the same axes before
+    # `jax.vmap` adds an axis in front of each argument, so all must have the same leading axes
     arrays = tuple(
         jnp.broadcast_to(array, lead + array.shape[k:]) for array, k in zip(arrays, parts, strict=True)
     )
@@ -66,7 +66,7 @@ def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
 
 
 def _product(slope: Any, change: Any, axes: int) -> Any:
-    """Return the change of an output (..., m) by a slope (..., m, *own) and a change (..., *own)."""
+    """Return the change (..., m) of an output from its derivative (..., m, *own) and a change (..., *own)."""
     letters = "ij"[:axes]
     return jnp.einsum(f"...m{letters},...{letters}->...m", slope, change)
 

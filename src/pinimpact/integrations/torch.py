@@ -1,8 +1,8 @@
 """Impacts as functions of PyTorch, with gradients.
 
 They are computed on the CPU; results are on the device of the velocities. There are no second derivatives.
-Arguments are broadcast to a common leading shape (...), in double precision. Rows without a solution are NaN,
-and so are derivatives that do not exist, see `Boundary`. (docs/derivatives.md, 7)
+Arguments are broadcast to a common leading shape (...), in double precision. Rows without a solution and
+derivatives that do not exist (`Boundary`) are NaN. (docs/derivatives.md, 7)
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ REMEDY = "convert it by .double()"
 def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[torch.Tensor, ...]:
     tensors = []
     for name, value in zip(rows.names, given, strict=True):
-        # numbers of Python have no precision of their own
+        # Python numbers are converted to double precision
         tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(np.asarray(value, dtype=float))
         refuse_single_precision(tensor.dtype, name, REMEDY)
         tensors.append(tensor)

@@ -1,4 +1,4 @@
-"""Accuracy against run time, for every method over its steps or tolerances."""
+"""Benchmark of accuracy against run time, for every method over its steps or tolerances."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
     "adaptive": tuple({"rtol": 10.0**-k} for k in range(2, 14)),
     "solve_ivp": tuple({"rtol": 10.0**-k} for k in range(3, 13)),
 }
-"""Settings of each method; a method without an entry is measured with its defaults."""
+"""Options with which each method is measured; a method without an entry is measured with its defaults."""
 
 TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": LEAST_RTOL}
 """Reference of "exact"; that of every other method is "exact"."""
@@ -42,13 +42,13 @@ STYLES: dict[str, dict[str, Any]] = {
     "admm": {"marker": "P", "color": "#ff7f0e", "markersize": 6},
     "pgs": {"marker": "X", "color": "#ff7f0e", "markersize": 6},
 }
-"""Styles of methods and other models."""
+"""Plot styles of methods and of Pinocchio's solvers."""
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
-"""Errors for which a summary names the fastest method."""
+"""Errors for which the summary gives the shortest run time."""
 
 BATCH = 2e-4
-"""Shortest duration of one timing [s]; shorter calls are repeated."""
+"""Minimum duration of one timing [s]; shorter calls are repeated."""
 
 
 def problem_classes() -> dict[str, ImpactProblem]:
@@ -79,18 +79,18 @@ def problem_classes() -> dict[str, ImpactProblem]:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One method at one setting on one problem."""
+    """The measurement of one method at one setting on one problem."""
 
     problem: str
     method: str
-    setting: dict[str, Any]  # its keyword options
+    setting: dict[str, Any]  # options of the method
     error: float  # the larger of the errors of v⁺ over |v⁻| and of P over |P|; NaN where the method failed
-    seconds: float  # time of the compiled kernel, called from compiled code; NaN where the method has none
-    call_seconds: float  # time of `solve_impact`, called from Python
+    seconds: float  # run time of the kernel, called from compiled code [s]; NaN for a method without kernel
+    call_seconds: float  # run time of `solve_impact`, called from Python [s]
 
     @property
     def cost(self) -> float:
-        """Seconds of the kernel, or of the call where there is no kernel."""
+        """The run time of the kernel, or of the call for a method without kernel [s]."""
         return self.call_seconds if math.isnan(self.seconds) else self.seconds
 
     def __str__(self) -> str:
@@ -100,14 +100,14 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Final state of another model, at e = 0, compared with the end of the path."""
+    """Difference of the final state by a solver of Pinocchio from that of "exact", at e = 0."""
 
     problem: str
     solver: str  # Pinocchio's solver
-    turned: str  # whether slip turned, stopped or resumed on the path
-    velocity: float  # |v⁺ − v⁺ of the path| over |v⁻|
-    impulse: float  # |P − P of the path| over |P|
-    call_seconds: float  # time of the call
+    turned: str  # effects on the path: turning, stopping or resuming slip, jam
+    velocity: float  # difference of v⁺ over |v⁻|
+    impulse: float  # difference of P over |P|
+    call_seconds: float  # run time of the call [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class Report:
                 "",
                 "Another model: Pinocchio's constraint solvers at e = 0, compared with the final state",
             ]
-            lines += [f"  {'problem':<26}{'solver':<8}{'v⁺ off by':>10}{'P off by':>10}  slip on the path"]
+            lines += [f"  {'problem':<26}{'solver':<8}{'Δv⁺':>10}{'ΔP':>10}  slip on the path"]
             lines += [
                 f"  {c.problem:<26}{c.solver:<8}{c.velocity:>10.1e}{c.impulse:>10.1e}  {c.turned}"
                 for c in self.contrasts
@@ -147,7 +147,7 @@ class Report:
         return "\n".join(lines)
 
     def summary(self) -> str:
-        """Return as text the shortest run time within an error by method, and differences of other models."""
+        """Return the run time of each method within each of `TARGETS`, and `contrasts`, as text."""
         count = len(self.problems)
         lines = [
             f"Run time of the fastest setting within an error, median over {count} "
@@ -158,14 +158,14 @@ class Report:
             cells = []
             for target in TARGETS:
                 costs = [point.cost for point in self.cheapest(target, method) if point is not None]
-                part = "" if len(costs) in (0, count) else f" ({len(costs)}/{count})"
-                cells.append(f"{duration(float(np.median(costs))) if costs else '–'}{part}")
+                reached = "" if len(costs) in (0, count) else f" ({len(costs)}/{count})"
+                cells.append(f"{duration(float(np.median(costs))) if costs else '–'}{reached}")
             lines.append(f"  {method:<14}" + "".join(f"{cell:>16}" for cell in cells))
         for solver in dict.fromkeys(contrast.solver for contrast in self.contrasts):
-            off = [max(c.velocity, c.impulse) for c in self.contrasts if c.solver == solver]
+            differences = [max(c.velocity, c.impulse) for c in self.contrasts if c.solver == solver]
             lines.append(
                 f"Another model: Pinocchio's {solver.upper()} at e = 0 differs from the final "
-                f"state by {min(off):.1e} to {max(off):.1e}"
+                f"state by {min(differences):.1e} to {max(differences):.1e}"
             )
         lines.append(
             f"{len(self.points)} points were measured; --all prints them, --target the fastest for an error."
@@ -173,7 +173,12 @@ class Report:
         return "\n".join(lines)
 
     def cheapest(self, target: float, method: str | None = None) -> tuple[Point | None, ...]:
-        """Return for each problem the fastest point, of a method or of all, with an error within `target`."""
+        """Return for each problem the fastest point with an error of at most `target`, or None.
+
+        Args:
+            target: Largest error, > 0.
+            method: Method of the points; None for all methods.
+        """
         if not 0.0 < target < math.inf:
             raise InputError(f"target: {target!r} given, a number > 0 expected", value=target)
         good = [p for p in self.points if p.error <= target and method in (None, p.method)]
@@ -183,7 +188,7 @@ class Report:
         )
 
     def advice(self, target: float) -> str:
-        """Return as text the fastest method and setting with an error within `target`."""
+        """Return the fastest method and setting with an error of at most `target`, as text."""
         lines = [f"cheapest within an error of {target:g}"]
         for problem, point in zip(self.problems, self.cheapest(target), strict=True):
             found = "no method reaches it"
@@ -202,7 +207,7 @@ class Report:
         Path(path).write_text(json.dumps(_nulls(raw), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
     def plot(self, path: str | Path) -> None:
-        """Draw the work-precision diagram as PNG, a panel for each problem."""
+        """Draw a work-precision diagram as PNG, with a panel for each problem."""
         from ..visual.work_precision import draw_work_precision
 
         panels: dict[str, list[tuple[str, list[tuple[float, float]], dict[str, Any]]]] = {}
@@ -225,13 +230,18 @@ def run_cost(
     time_cap: float = 2.0,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Measure error against run time; a method that fails on a problem has NaN there.
+    """Measure errors and run times; they are NaN for a method that fails on a problem.
 
-    Problems by name and methods are the standard ones, and all, by default. Of `repeats` timings of each
-    point the best is used; a point is not timed again after `time_cap` [s], and a method is not measured at
-    settings beyond the first whose single call takes longer. `progress` is called with the name of each
-    problem before it is measured. Raises `PinimpactError` for a problem without a solution, or an unknown
-    method.
+    Args:
+        problems: Problems by name; None for `problem_classes`.
+        methods: Names of methods; None for all.
+        repeats: Maximum number of timings of each point, of which the shortest counts.
+        time_cap: Time after which a point is not timed again [s]. If a single call takes longer, the further
+            settings of its method are skipped.
+        progress: Function that is called with the name of each problem before it is measured.
+
+    Raises:
+        PinimpactError: A problem without a solution, or an unknown method.
     """
     points: list[Point] = []
     contrasts: list[Contrast] = []
@@ -260,7 +270,7 @@ def relative_error(solution: Solution, reference: Solution, problem: ImpactProbl
 
 
 def best_time(call: Callable[[int], Any], repeats: int, time_cap: float) -> float:
-    """Return the shortest time of ``call(count)``, divided by the count [s]."""
+    """Return the shortest run time of ``call(count)`` divided by the count [s]."""
     begun = time.perf_counter()
     call(1)
     once = time.perf_counter() - begun
@@ -300,7 +310,7 @@ def _measure(
 
 
 def _kernel(problem: ImpactProblem, method: str, setting: dict[str, Any]) -> Callable[[int], Any] | None:
-    """Return a function that solves the problem `count` times in compiled code, warmed up."""
+    """Return a compiled function (count) that solves the problem this many times; None without a kernel."""
     from ..contact_space._kernels.butcher import DORMAND_PRINCE, EULER, RK4
     from ..contact_space._kernels.timing import repeat_exact, repeat_stepping
     from ..contact_space.methods import FIRST_STEPS
@@ -352,7 +362,7 @@ def _contrasts(name: str, problem: ImpactProblem, repeats: int, time_cap: float)
 
 
 def machine() -> dict[str, Any]:
-    """Return a description of the machine and the versions, for measurements."""
+    """Return a description of the machine and the versions of packages."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -371,7 +381,7 @@ def machine() -> dict[str, Any]:
 
 
 def duration(seconds: float) -> str:
-    """Return seconds in readable units."""
+    """Return a time [s] as text in s, ms, µs or ns."""
     if math.isnan(seconds):
         return "–"
     for unit in ("s", "ms", "µs"):

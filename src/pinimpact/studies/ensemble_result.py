@@ -1,4 +1,4 @@
-"""The rows of an ensemble, and statistics of them."""
+"""The results of an ensemble, with statistics."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ..scene.trajectory import Trajectory
 from ..tables import data_frame
 
 RESAMPLES = 200
-"""Number of resamples for the intervals of Sobol' indices, which is enough for two digits of their width."""
+"""Number of bootstrap resamples for the intervals of Sobol' indices; enough for two digits of their width."""
 
 
 class Estimate(NamedTuple):
-    """A value with its interval: `low` to `high` holds what more samples would give, with the confidence."""
+    """An estimate with its confidence interval from `low` to `high`."""
 
     value: float
     low: float
@@ -33,13 +33,13 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble:
-    """What `ensemble` returns.
+    """The result of `ensemble`.
 
     Attributes:
         columns: Arrays by name: sample, the parameters, status ("OK", the name of an error, or for impacts
-            that of a `Status`), message, and the rows of ``reduce``.
-        parameters: Names of the columns that were drawn.
-        design: How they were drawn.
+            that of a `Status`), message, and the results of ``reduce``.
+        parameters: Names of the parameters, which are columns too.
+        design: Name of the sampling design.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -54,16 +54,17 @@ class Ensemble:
         return f"Ensemble({counted(len(self), 'sample')} over {', '.join(self.parameters)})"
 
     def trajectory(self, sample: int) -> Trajectory:
-        """Return the trajectory of a sample, which is simulated again.
+        """Simulate a sample again and return its trajectory.
 
         Raises:
-            InputError: A sample that does not exist, or an ensemble of single impacts; errors of the sample.
+            InputError: A sample that does not exist, or an ensemble of single impacts.
+            PinimpactError: The error of a sample that failed.
         """
         row = whole_number("sample", sample, 0)
         if self._run is None or row >= len(self):
-            what = (
-                "single impacts have no trajectories" if self._run is None else f"{len(self)} samples exist"
-            )
+            what = f"a number from 0 to {len(self) - 1} is expected"
+            if self._run is None:
+                what = "single impacts have no trajectories"
             raise InputError(f"sample: {sample} given; {what}", value=sample)
         return self._run(np.array([self.columns[name][row] for name in self.parameters], dtype=float))
 
@@ -75,17 +76,17 @@ class Ensemble:
         name = choice("column", column, self.columns, "a column")
         values = self.columns[name]
         if values.dtype.kind not in "fiu":
-            raise InputError(f"column: {name!r} has text, numbers expected", value=name)
+            raise InputError(f"column: {name!r} contains text; a column of numbers is expected", value=name)
         return np.asarray(values, dtype=float)
 
     def quantiles(
         self, column: str, q: ArrayLike = (0.05, 0.5, 0.95), confidence: float = 0.95
     ) -> list[Estimate]:
-        """Return quantiles of a column with their intervals, both order statistics.
+        """Return quantiles of a column with confidence intervals, both from order statistics.
 
-        Rows without a number are left out; infinite ones, such as the time of an impact that never comes,
-        count. The intervals are exact for independent samples of any distribution; for other designs than
-        "random" they are too wide.
+        NaN is omitted; infinite values, such as the time of an impact that does not occur, are included. The
+        intervals are exact for independent samples of any distribution; for designs other than "random" they
+        are too wide.
         """
         values, confidence = self._numbers(column), checks.level(confidence, "confidence")
         values = values[~np.isnan(values)]
@@ -101,24 +102,25 @@ class Ensemble:
         return found
 
     def frequencies(self, column: str = "status", confidence: float = 0.95) -> dict[str, Estimate]:
-        """Return how often each value of a column occurs, with Wilson's intervals, most frequent first."""
+        """Return the relative frequency of each value of a column, with Wilson intervals, largest first."""
         return shares(self.columns[choice("column", column, self.columns, "a column")], confidence)
 
     def sobol_indices(self, column: str) -> Any:
-        """Return Sobol' indices of a column, first order and total, as `scipy.stats.sobol_indices` does.
+        """Return first-order and total Sobol' indices of a column: the result of `scipy.stats.sobol_indices`.
 
         Raises:
-            InputError: Another design than "saltelli", or rows without a number.
+            InputError: A design other than "saltelli", or a column with NaN or infinite values.
         """
         if self.design != "saltelli":
             raise InputError(
-                f'design: {self.design!r}, "saltelli" expected: run the ensemble with it', value=self.design
+                f"design: {self.design!r} given; Sobol' indices need an ensemble with the design 'saltelli'",
+                value=self.design,
             )
         values, d = self._numbers(column), len(self.parameters)
         if not np.isfinite(values).all():
             raise InputError(
-                f"column: {column!r} lacks a number in {counted(int((~np.isfinite(values)).sum()), 'row')}; "
-                "Sobol' indices need all",
+                f"column: {column!r} is not finite in {counted(int((~np.isfinite(values)).sum()), 'row')}; "
+                "Sobol' indices need finite numbers in all rows",
                 value=column,
             )
         blocks = values.reshape(d + 2, -1)
@@ -130,14 +132,14 @@ class Ensemble:
         return [name for name in self.columns if name not in {"sample", "message", *self.parameters}]
 
     def plot(self, columns: Sequence[str] | None = None) -> Any:
-        """Return a figure with the distributions of columns, by default of all results."""
+        """Return a figure with the distributions of columns; by default, of all results."""
         from ..visual.plots import distributions
 
         names = columns or self.results()
         return distributions({n: self.columns[choice("columns", n, self.columns, "a column")] for n in names})
 
     def facts(self) -> dict[str, Any]:
-        """Return quantiles and frequencies of results as plain data, and Sobol' indices by their design."""
+        """Return quantiles, frequencies and, for the design "saltelli", Sobol' indices as plain data."""
         results: dict[str, Any] = {}
         for name in self.results():
             if self.columns[name].dtype.kind in "fiu":
@@ -153,10 +155,10 @@ class Ensemble:
         return facts
 
     def _indices(self, column: str) -> dict[str, Any]:
-        """Return the Sobol' indices of a column by parameter, with intervals by bootstrap."""
+        """Return the Sobol' indices of a column by parameter, with bootstrap intervals."""
         indices = self.sobol_indices(column)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an index that is the same in all resamples has no interval
+            warnings.simplefilter("ignore")  # equal indices in all resamples: no interval exists
             errors = indices.bootstrap(n_resamples=RESAMPLES)
         parts = {"first order": "first_order", "total": "total_order"}
         return {
@@ -182,7 +184,7 @@ class Ensemble:
         return path
 
     def summary(self, columns: Sequence[str] | None = None) -> str:
-        """Return quantiles of columns with numbers, frequencies of those with text and the first error."""
+        """Return quantiles or frequencies of columns, and the first error message, as text."""
         lines = [f"{counted(len(self), 'sample')} over {', '.join(self.parameters)}"]
         failed = np.flatnonzero(self.columns["message"] != "")
         lines += [f"sample {self.columns['sample'][i]}: {self.columns['message'][i]}" for i in failed[:1]]
@@ -204,7 +206,7 @@ class Ensemble:
 
 
 def shares(values: NDArray[Any], confidence: float) -> dict[str, Estimate]:
-    """Return how often each value occurs, with Wilson's intervals, most frequent first."""
+    """Return the relative frequency of each value, with Wilson intervals, largest first."""
     names, counts = np.unique(values.astype(str), return_counts=True)
     confidence = checks.level(confidence, "confidence")
     found = {}

@@ -19,17 +19,17 @@ from ..scene.scene import Scene
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FoundImpacts:
-    """N measured impacts, of one contact each; ``found[rows]`` has some of them.
+    """N measured impacts, at one contact each; ``found[rows]`` selects rows.
 
     Attributes:
         q: (N, nq) configurations.
-        v_before, v_after: (N, nv) velocities.
+        v_before, v_after: (N, nv) velocities before and after the impacts.
         contact: (N,) names of the contacts.
         group: (N,) labels of groups, such as tosses.
         time: (N,) times in their recordings [s].
-        covariance: (N, 2 nv, 2 nv) of v_before and v_after, or None.
-        dropped: Why other impacts of the recordings were left out, one sentence each.
-        scene: The scene with which they were found.
+        covariance: (N, 2 nv, 2 nv) covariance matrices of (v_before, v_after), or None.
+        dropped: Reasons why other impacts of the recordings were omitted, one sentence each.
+        scene: The scene with which they were identified in the recordings.
     """
 
     q: Array
@@ -59,10 +59,16 @@ class FoundImpacts:
 
 
 def as_found(found: Any, scene: Scene, contact: Any) -> FoundImpacts:
-    """Return (q, v⁻, v⁺) of a scene's robot as `FoundImpacts`, checked; those given are checked too.
+    """Return impacts as checked `FoundImpacts`.
 
-    Raises `InputError` for wrong shapes or numbers, `UnknownNameError` for contacts that the scene does not
-    have.
+    Args:
+        found: `FoundImpacts`, or arrays (q, v_before, v_after).
+        scene: The scene of the robot.
+        contact: With arrays, the name of the contact or (N,) names; None if the scene has one contact.
+
+    Raises:
+        InputError: Wrong shapes, or numbers that are not finite.
+        UnknownNameError: A contact that the scene does not have.
     """
     labels = [one.label for one in scene.contacts]
     if not isinstance(found, FoundImpacts):
@@ -80,7 +86,7 @@ def as_found(found: Any, scene: Scene, contact: Any) -> FoundImpacts:
         found = FoundImpacts(q, before, after, names, np.arange(count))
     count, model = len(found), scene.model
     if count == 0:
-        raise InputError("found: no impacts, to which nothing can be fitted; see found.dropped", value=found)
+        raise InputError("found: no impacts given, at least one expected; see found.dropped", value=found)
     finite_array("q", found.q, (count, model.nq))
     finite_array("v_before", found.v_before, (count, model.nv))
     finite_array("v_after", found.v_after, (count, model.nv))
@@ -94,7 +100,7 @@ def as_found(found: Any, scene: Scene, contact: Any) -> FoundImpacts:
 
 
 def arrays_of(given: Any, what: str) -> tuple[Array, Array, Array]:
-    """Return three arrays, the first axes of which are as long, or raise `InputError`."""
+    """Return three arrays whose first axes have the same length, or raise `InputError`."""
     if isinstance(given, FoundImpacts) or not isinstance(given, Sequence) or len(given) != 3:
         raise InputError(f"found: {in_short(given)} given; {what} expected", value=given)
     first, before, after = (real_numbers("found", part) for part in given)
@@ -117,7 +123,7 @@ def matrices_of(found: FoundImpacts, scene: Scene) -> list[ContactMatrices]:
 
 
 def free_body(scene: Scene, what: str) -> pin.Inertia:
-    """Return the inertia of the one free body of a scene, or raise `InputError`."""
+    """Return the inertia of the only body of a scene, which is free, or raise `InputError`."""
     model = scene.model
     if model.njoints != 2 or model.joints[1].shortname() != "JointModelFreeFlyer":
         raise InputError(

@@ -1,7 +1,7 @@
-"""Pinocchio's own constraint solvers on the same W, v and μ: another model of the impact.
+"""Pinocchio's constraint solvers for the same W, v and μ, which use another model of the impact.
 
-They find one impulse for the whole impact, with friction opposed to the *final* slip and no restitution. If
-slip keeps its direction this is the end of the path too; if it turns, it is not.
+They compute one impulse for the whole impact, with friction opposite to the *final* slip and no restitution.
+The result agrees with the end of the path if slip keeps its direction, but not if it turns.
 """
 
 from __future__ import annotations
@@ -22,9 +22,16 @@ MAX_ITERATIONS = 100_000
 def solve_constraint(
     delassus: ArrayLike, velocity: ArrayLike, friction: float, solver: str = "admm"
 ) -> tuple[Array, Array]:
-    """Return v⁺ (3,) and P (3,) of the impact of e = 0 as a complementarity problem with Pinocchio.
+    """Solve an impact with e = 0 as a complementarity problem, by Pinocchio 4.1 or later.
 
-    By the solver "admm" or "pgs" of Pinocchio 4.1 or later; NaN where it does not converge.
+    Args:
+        delassus: (3, 3) Delassus matrix [1/kg].
+        velocity: (3,) contact velocity before the impact [m/s].
+        friction: Coefficient μ.
+        solver: "admm" or "pgs".
+
+    Returns:
+        v⁺ (3,) [m/s] and P (3,) [N s], NaN if the solver does not converge.
     """
     W = finite_array("delassus", delassus, (3, 3))
     v = finite_array("velocity", velocity, (3,))
