@@ -128,7 +128,7 @@ __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use, so that a script loads only what it calls."""
+    """Import a public name on first use, so that a script loads only the modules that it needs."""
     if name in _PACKAGES:
         return import_module(f"{__name__}.{name}")
     if name not in _HOME:

@@ -20,7 +20,7 @@ _DOUBLE = np.dtype(np.float64)
 def real_numbers(field: str, value: Any, expected: str = "an array of real numbers") -> Array:
     """Return `value` as a float64 array, or raise `InputError` naming `field`.
 
-    Complex numbers, text, dates, truth values and masked entries are refused; NumPy converts them silently.
+    Complex numbers, text, dates, bools and masked entries raise an error, although NumPy would convert them.
     """
     if type(value) is np.ndarray and value.dtype == _DOUBLE:
         return value
@@ -31,7 +31,7 @@ def real_numbers(field: str, value: Any, expected: str = "an array of real numbe
         )
     try:
         array = np.asarray(value)
-        if array.dtype.kind == "O" and not any(isinstance(x, _NO_REALS) for x in array.flat):
+        if array.dtype.kind == "O" and not any(isinstance(x, _NOT_REAL) for x in array.flat):
             return np.asarray(array, dtype=np.float64)
         if array.dtype.kind in "fiu" or array.size == 0:
             return np.asarray(array, dtype=np.float64)
@@ -40,7 +40,7 @@ def real_numbers(field: str, value: Any, expected: str = "an array of real numbe
     raise InputError(f"{field}: {in_short(value)} given; {expected} is expected", value=value)
 
 
-_NO_REALS = (
+_NOT_REAL = (
     str,
     bytes,
     bool,
@@ -54,7 +54,7 @@ _NO_REALS = (
 
 
 def real_number(field: str, value: Any) -> float:
-    """Return `value` as a float, NaN and infinity included, or raise `InputError` naming `field`."""
+    """Return `value` as a float, which may be NaN or infinite, or raise `InputError` naming `field`."""
     if type(value) is float:
         return value
     array = real_numbers(field, value, "a real number")
@@ -64,13 +64,13 @@ def real_number(field: str, value: Any) -> float:
 
 
 def in_short(value: Any) -> str:
-    """Return a value as text of at most one line, for messages."""
+    """Return the representation of a value for messages, in one line of at most 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def file_path(field: str, path: Any) -> Path:
-    """Return a path, or raise `InputError`."""
+    """Return `path` as a `Path`, or raise `InputError`."""
     if not isinstance(path, (str, Path)):
         raise InputError(f"{field}: {in_short(path)} given, a path expected", value=path)
     return Path(path)
@@ -92,8 +92,8 @@ def output_file(field: str, path: str | Path) -> Path:
 def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`.
 
-    A number is accepted for an array of one. The array is writable: kernels are compiled for such arrays, and
-    read-only ones would be compiled separately.
+    A number is accepted for shape (1,). The array is writable, because numba would compile kernels again for
+    read-only arrays.
     """
     if type(value) is np.ndarray and value.dtype == _DOUBLE and value.shape == shape and value.flags.carray:
         return value
@@ -105,9 +105,11 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Like `float_array`, and refuse NaN and infinity."""
+    """Like `float_array`, and raise `InputError` for NaN and infinity."""
     array = float_array(field, value, shape)
-    squares = np.vdot(array, array)  # quickly finite, unless it is too large
+    squares = np.vdot(
+        array, array
+    )  # a fast check; it overflows for large numbers, which are then checked one by one
     if not math.isfinite(squares) and not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array)).tolist()
         first = f"{array[tuple(where[0])]} at {where[0]}"
@@ -157,14 +159,14 @@ def level(value: Any, name: str = "level") -> float:
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number of things in words: "1 impact", "2 impacts", "2 velocities"."""
+    """Return a number with its noun: "1 impact", "2 impacts", "2 velocities"."""
     if number == 1:
         return f"{number} {what}"
     return f"{number} {what[:-1]}ies" if what.endswith("y") else f"{number} {what}s"
 
 
 def choice(field: str, value: Any, names: Iterable[str], what: str) -> str:
-    """Return `value` if it is one of the names, else raise `UnknownNameError`: it is not `what`."""
+    """Return `value` if it is one of the names, or raise `UnknownNameError` ("… is not `what`")."""
     names = tuple(names)
     if not isinstance(value, str) or value not in names:
         raise UnknownNameError(
@@ -181,16 +183,16 @@ def truth_value(field: str, value: Any) -> bool:
 
 
 def function(field: str, value: Any, what: str) -> Any:
-    """Return `value` if it can be called, or raise `InputError`: that it is not `what`."""
+    """Return `value` if it can be called, or raise `InputError` ("… is not `what`")."""
     if not callable(value):
         raise InputError(f"{field}: {in_short(value)} is not {what}", value=value)
     return value
 
 
 def whole_number(field: str, value: Any, low: int, high: int | None = None) -> int:
-    """Return `value` as an int within bounds, or raise `InputError`."""
-    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not number or value < low or (high is not None and value > high):
+    """Return `value` as an int from `low` to `high`, or raise `InputError`."""
+    integer = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not integer or value < low or (high is not None and value > high):
         to = "" if high is None else f" to {high}"
         raise InputError(
             f"{field}: {in_short(value)} given, a whole number from {low}{to} expected", value=value
@@ -199,7 +201,7 @@ def whole_number(field: str, value: Any, low: int, high: int | None = None) -> i
 
 
 def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) -> tuple[Any, ...]:
-    """Return a sequence as a tuple, and a single item as a tuple of one, or raise `InputError`."""
+    """Return a sequence as a tuple, and an item of type `one` as a tuple (item,), or raise `InputError`."""
     if isinstance(value, one) and not isinstance(value, bool):
         return (value,)
     try:
@@ -211,7 +213,7 @@ def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) ->
 
 
 def near_matches(given: Any, names: Iterable[str]) -> str:
-    """Return a clause that suggests similar names, or the number of names if none is similar."""
+    """Return a clause that suggests similar names, or lists the first names if none is similar."""
     names = sorted(set(names))
     name = given if isinstance(given, str) else ""
     lowered = {known.lower(): known for known in names}

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table; numbers have six digits and are aligned to the right."""
+    """Return an HTML table; numbers have six digits and are aligned to the right."""
     lines = [f"<table><caption style='text-align:left'><b>{escape(title)}</b></caption>"]
     if any(head):
         lines.append("<tr>" + "".join(f"<th>{escape(name)}</th>" for name in head) + "</tr>")
@@ -22,7 +22,7 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -
 
 
 def html_lines(sentences: Iterable[str]) -> str:
-    """Return sentences, one below the other."""
+    """Return sentences as HTML, each on its own line."""
     return "".join(f"<div>{escape(sentence)}</div>" for sentence in sentences)
 
 
@@ -37,8 +37,8 @@ def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> l
     found = []
     for field in fields(instance):
         value = getattr(instance, field.name)
-        usual = field.default is not MISSING and _same(value, field.default)
-        if usual or field.name in but or not field.repr:
+        is_default = field.default is not MISSING and _same(value, field.default)
+        if is_default or field.name in but or not field.repr:
             continue
         text = value.__name__ if isfunction(value) else " ".join(repr(value).split())
         found.append(f"{field.name}={text if len(text) <= width else text[: width - 1] + '…'}")
@@ -46,12 +46,12 @@ def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> l
 
 
 def short_repr(instance: Any) -> str:
-    """Return a dataclass in a line, without fields at their defaults; for ``__repr__`` of dataclasses."""
+    """Return the ``__repr__`` of a dataclass, without the fields that have their default value."""
     return f"{type(instance).__name__}({', '.join(changed_fields(instance))})"
 
 
 def in_a_line(values: ArrayLike) -> str:
-    """Return an array as text with six digits, cut beyond 70 characters."""
+    """Return an array as text with six digits, of at most 70 characters."""
     digits = {"float_kind": lambda x: f"{x:.6g}"}
     text = np.array2string(np.asarray(values), separator=", ", threshold=12, formatter=digits)  # type: ignore[arg-type]
     text = " ".join(text.split())

@@ -10,7 +10,7 @@ class PinimpactError(Exception):
 
     Args:
         message: What is wrong, with the value, and what is expected.
-        field: Name of the argument or file key, if there is one; else what stands before the message's colon.
+        field: Name of the argument or file key. Default: the text before the first colon of the message.
         value: The value, as given.
     """
 
@@ -25,7 +25,7 @@ class PinimpactError(Exception):
 
 
 class InertiaWarning(UserWarning):
-    """Principal moments of inertia that no body can have: the largest exceeds the sum of the others."""
+    """Physically impossible principal moments of inertia: the largest exceeds the sum of the others."""
 
 
 class JointLimitWarning(UserWarning):
@@ -37,7 +37,7 @@ class BoundReachedWarning(UserWarning):
 
 
 class SteppedWarning(UserWarning):
-    """An interval was crossed by time steps, because its events could not be located one by one."""
+    """An interval was simulated by time steps, because its events could not be located one by one."""
 
 
 class InputError(PinimpactError, ValueError):
@@ -61,11 +61,11 @@ class LawError(PinimpactError, ValueError):
 
 
 class SimulationError(PinimpactError, RuntimeError):
-    """A simulation that cannot continue; ``partial`` is the trajectory up to then.
+    """A simulation that cannot continue.
 
     Args:
         message: Why it stopped, and what may help.
-        partial: The trajectory up to the stop, or None if there is none.
+        partial: The trajectory until then, or None.
         field: As in `PinimpactError`.
         value: As in `PinimpactError`.
     """
@@ -78,4 +78,4 @@ class SimulationError(PinimpactError, RuntimeError):
 
 
 class IrregularMotionError(SimulationError):
-    """Events that cannot be located one after another; time stepping crosses them."""
+    """Events that cannot be located one by one; ``scheme="auto"`` then takes time steps."""

@@ -1,4 +1,4 @@
-"""What an impact can come to: the vocabulary of statuses, flags and effects."""
+"""Statuses, flags and effects of impacts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Sentences(enum.IntFlag):
     sentence: str
 
     def __new__(cls, value: int, sentence: str = "") -> Any:
-        """Take a member's value and its sentence."""
+        """Create a member from its value and its sentence."""
         member = int.__new__(cls, value)
         member._value_ = value
         member.sentence = sentence
@@ -21,7 +21,7 @@ class Sentences(enum.IntFlag):
 
     @classmethod
     def _missing_(cls, value: object) -> Any:
-        """Take NumPy's integers too, such as the rows of ``batch.flags``."""
+        """Accept NumPy integers too, such as the rows of ``batch.flags``."""
         return super()._missing_(index(value))  # type: ignore[arg-type]
 
     def describe(self) -> tuple[str, ...]:
@@ -35,7 +35,7 @@ class Status(enum.IntEnum):
     _sentence: str
 
     def __new__(cls, value: int, sentence: str = "") -> Any:
-        """Take a member's value and its sentence."""
+        """Create a member from its value and its sentence."""
         member = int.__new__(cls, value)
         member._value_, member._sentence = value, sentence
         return member
@@ -99,7 +99,7 @@ EFFECTS = (
     "second compression",
     "recorded path",
 )
-"""Vocabulary of `Solution.effects`, in the order in which they are listed.
+"""Possible entries of `Solution.effects`, in this order.
 
 - friction: μ > 0 and the contact slips or may slip
 - restitution: e > 0: a restitution phase was computed

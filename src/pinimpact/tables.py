@@ -24,8 +24,8 @@ SUFFIXES = (".csv", ".parquet")
 
 
 def by_component(name: str, components: tuple[str, ...], values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Return the columns of an array (m, k), called ``name.component``."""
-    return {f"{name}.{part}": column for part, column in zip(components, values.T, strict=True)}
+    """Return the columns of an array (m, k) by name, ``name.component``."""
+    return {f"{name}.{key}": column for key, column in zip(components, values.T, strict=True)}
 
 
 def data_frame(columns: Columns) -> Any:
@@ -38,11 +38,11 @@ def data_frame(columns: Columns) -> Any:
 
 
 def check_table_path(field: str, path: str | Path) -> Path:
-    """Return the path of a table to write, or raise `InputError`: no folder, unknown suffix, no pyarrow."""
+    """Return the path of a table to write; raise `InputError` for a missing folder, suffix or package."""
     path = output_file(field, path)
     if path.suffix not in SUFFIXES:
         raise InputError(
-            f"{field}: {path.name!r} given; the name of a table ends in {' or '.join(SUFFIXES)}",
+            f"{field}: {path.name!r} given; a name that ends in {' or '.join(SUFFIXES)} is expected",
             value=str(path),
         )
     if path.suffix == ".parquet":
@@ -51,12 +51,12 @@ def check_table_path(field: str, path: str | Path) -> Path:
 
 
 def write_table(path: Path, columns: Columns, about: Mapping[str, str] | None = None) -> None:
-    """Write a table in the format of its suffix; numbers of a CSV file have all their digits.
+    """Write a table in the format of the path's suffix; numbers in CSV files have full precision.
 
     Args:
-        path: A file that ends in .csv or .parquet.
-        columns: The table.
-        about: Texts by name for the metadata of a Parquet file.
+        path: A path that ends in .csv or .parquet.
+        columns: The columns by name.
+        about: Metadata of a Parquet file.
     """
     if path.suffix == ".parquet":
         table = _optional("pyarrow", "path").table({name: np.asarray(x) for name, x in columns.items()})
