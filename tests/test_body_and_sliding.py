@@ -124,7 +124,7 @@ def test_roll_outs_of_the_true_model_are_exact_and_of_another_are_not() -> None:
     again = studies.rollouts(scene, motions, restart=True)
     assert len(again) >= 4
     assert again.at_end()[:, 0].max() < 1e-3
-    with pytest.raises(InputError, match="its errors are not of the data of test"):
+    with pytest.raises(InputError, match="its errors belong to data other than those of test"):
         studies.compare(true, again)
 
 

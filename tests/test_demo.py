@@ -216,7 +216,7 @@ def test_what_cannot_strike_says_why(tmp_path: Path) -> None:
         (("two_link_arm", "--normal", "0", "1", "0"), "cannot move towards a table with this normal"),
         (("panda", "--normal", "0", "0", "1", "--direction", "0", "0", "1"), "points away from the table"),
         (("panda", "--frame", "panda_hand_tpc"), "did you mean"),
-        (("panda", "--frame", "panda_link0"), "no joint moves frame 'panda_link0'"),
+        (("panda", "--frame", "panda_link0"), "no joint of panda moves frame 'panda_link0'"),
         (("panda", "--law", "newtonian"), "newton"),
         (("panda", "--friction", "-0.1"), "friction: -0.1"),
         (("panda", "--speed", "0"), "speed: 0.0"),

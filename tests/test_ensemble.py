@@ -201,7 +201,7 @@ def test_what_is_no_chunk_of_a_study_is_refused(tmp_path):
         _resume(tmp_path / "study")
     file.with_name("samples-000000001.parquet").unlink()
     _changed(tmp_path / "study", lambda record: record["versions"].update(scipy="1.0"))
-    with pytest.raises(InputError, match=r"was begun with scipy 1\.0, here is"):
+    with pytest.raises(InputError, match=r"used scipy 1\.0, but .* is installed"):
         _resume(tmp_path / "study")
     (tmp_path / "study" / "study.json").write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="is not the record of a study"):
@@ -483,7 +483,11 @@ def test_trajectories_are_kept_on_request(tmp_path):
         (InputError, "samples: 0 given", {"samples": 0}),
         (InputError, "over: {} given, distributions", {"over": {}}),
         (UnknownNameError, "did you mean 'friction'", {"over": {"fricton": stats.norm()}}),
-        (UnknownNameError, "'friction:foot' names nothing", {"over": {"friction:foot": stats.norm()}}),
+        (
+            UnknownNameError,
+            "'friction:foot' given, but the scene has no 'foot'",
+            {"over": {"friction:foot": stats.norm()}},
+        ),
         (InputError, "0.3 given, a frozen distribution", {"over": {"friction": 0.3}}),
         (InputError, "a frozen distribution", {"over": {"friction": stats.norm}}),
         (InputError, "nothing can be drawn .*a draw is nan", {"over": {"friction": stats.norm(np.nan)}}),

@@ -671,7 +671,7 @@ def test_bad_policies():
     with pytest.raises(InputError, match=r"exponent: 2 given"):
         solve_impact(problem, simultaneous="propagate", exponent=2)
     rough = ImpactProblem(np.eye(6), [[0, 0, -1.0], [0, 0, -1.0]], 0.5, 0.5)
-    with pytest.raises(InputError, match='"reflect" is frictionless'):
+    with pytest.raises(InputError, match='"reflect" supports zero friction only'):
         solve_impact(rough, simultaneous="reflect")
 
 

@@ -115,7 +115,7 @@ def test_fits_of_laws_are_compared_by_name() -> None:
         assert difference.interval.shape == (1, 2)
         assert difference.interval[0, 1] < 0.0, law
         assert fits[law].fun.shape == fits["poisson"].fun.shape
-    with pytest.raises(pinimpact.InputError, match="not of the data"):
+    with pytest.raises(pinimpact.InputError, match="belong to data other"):
         studies.compare(fits["poisson"], studies.identify((W, v, after)))
     with pytest.raises(pinimpact.UnknownNameError, match="moreau"):
         fits["moreau"].apply(load_scene("solo12_landing").scene)

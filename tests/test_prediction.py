@@ -226,7 +226,7 @@ def test_a_browser_shows_the_cloud(tmp_path):
         (UnknownNameError, "start: 'x' given", {"start": {"x": np.eye(6)}}),
         (InputError, r"shape \(3, 3\) given, \(6, 6\) expected", {"start": {"q0": np.eye(3)}}),
         (InputError, "reduce: given", {"reduce": dict}),
-        (InputError, "no draws about", {"fitted": _fitted(x=np.array([50.0, 0.5]))}),
+        (InputError, "no draws around", {"fitted": _fitted(x=np.array([50.0, 0.5]))}),
     ],
 )  # fmt: skip
 def test_bad_input_is_named(error, match, change):

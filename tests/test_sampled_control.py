@@ -191,6 +191,6 @@ def test_gains_that_are_too_high_for_the_period_end_with_an_error(scheme):
     joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1e-3, 0.1), pin.SE3.Identity())
     scene = Scene(model, control=JointPD(1.0, 5.0, [0.0]), period=0.01)  # v grows by d T/m = 50 a period
-    with pytest.raises(SimulationError, match="beyond all numbers") as error:
+    with pytest.raises(SimulationError, match="velocities are not finite") as error:
         simulate(scene, [0.0], [1.0], 3.0, scheme=scheme)
     assert 0.5 < error.value.partial.t[-1] < 3.0

@@ -379,7 +379,7 @@ def test_what_cannot_be_fitted_is_refused(arm):
             None,
             free,
             InputError,
-            r"free: stiffening is of the joints of a robot; give \(q, v_before, v_after\)",
+            r"free: stiffening is a parameter of robot joints; give \(q, v_before, v_after\)",
         ),
         (scene, {"stiffening": (0, 2)}, InputError, "two rising numbers from 0 to 1 are expected"),
         (scene, {"stiffening": (-1, 1)}, InputError, "two rising numbers from 0 to 1 are expected"),

@@ -27,7 +27,7 @@ def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
 
     if inputs.law != "poisson" and inputs.restitution.any():
         raise LawError(
-            f'law: {inputs.law!r} given, but "together" has only Poisson\'s law (or e = 0)', value=inputs.law
+            f'law: {inputs.law!r} given; "together" supports Poisson\'s law only, or e = 0', value=inputs.law
         )
     n = len(inputs.velocity)
     velocity = inputs.velocity.ravel()
@@ -61,12 +61,15 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
 
     if inputs.friction.any():
         raise InputError(
-            'friction: "reflect" is frictionless; all coefficients must be 0', value=inputs.friction
+            f'friction: {inputs.friction.tolist()} given; "reflect" supports zero friction only',
+            value=inputs.friction,
         )
     e = float(inputs.restitution.max(initial=0.0))
     if (inputs.restitution != e).any():
         raise InputError(
-            'restitution: "reflect" takes one coefficient for all contacts', value=inputs.restitution
+            f'restitution: {inputs.restitution.tolist()} given; "reflect" needs the same coefficient at all '
+            "contacts",
+            value=inputs.restitution,
         )
     n = len(inputs.velocity)
     start = inputs.velocity.ravel()

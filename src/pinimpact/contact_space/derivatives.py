@@ -111,5 +111,5 @@ def check_derivatives(wanted: bool, method: str) -> None:
     """Raise `InputError` for derivatives by another method than "exact"."""
     if wanted:
         raise InputError(
-            f'derivatives: not available for the method {method!r}; method="exact" has them', value=wanted
+            f'derivatives: not available for the method {method!r}; use method="exact"', value=wanted
         )

@@ -238,8 +238,8 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
     found = shape_tips(shapes, shape, contact.rim_points)
     if not isinstance(contact.plane, Plane) and (found.kind != "sphere" or isinstance(contact.plane, Solid)):
         raise InputError(
-            f"geometry: {shape.name!r} is a {found.kind}, of which the points that touch a "
-            f"{contact.plane.kind} depend on the configuration; it has tips with planes only",
+            f"geometry: {shape.name!r} is a {found.kind}, whose contact points with a {contact.plane.kind} "
+            "depend on the configuration; tips exist for planes only",
             value=shape.name,
         )
     frame = shape_frame(model, shape)

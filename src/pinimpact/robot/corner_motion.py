@@ -42,8 +42,8 @@ class Corner(NamedTuple):
     @property
     def _unknown(self) -> InputError:
         return InputError(
-            f"sensitivities: how the contact point of {self.pair.contact.label!r} moves over an edge or a "
-            "corner is not known in time steps; with the ball as the robot's shape that on an edge is"
+            f"sensitivities: not available in time steps for {self.pair.contact.label!r}, whose contact "
+            "point is on an edge or a corner; for a ball on an edge, give the ball as the robot's shape"
         )
 
     def contact(self, data: pin.Data, basis: Contact) -> Contact:

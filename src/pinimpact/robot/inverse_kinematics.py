@@ -72,7 +72,7 @@ def place_in_contact(
         cache.warn_of_limits(given, stacklevel=3)
     wanted = as_tuple("contacts", contacts, (Contact, str), "a Contact")
     if not wanted:
-        raise InputError("contacts: none given; give those to be closed", value=contacts)
+        raise InputError("contacts: none given, at least one expected", value=contacts)
     for contact in wanted:
         check_contact("contacts", contact)
     search = _Search(model, data, given, wanted)

@@ -111,7 +111,7 @@ def impact_at_many(
 def check_many(contacts: Sequence[Contact], held: Sequence[Contact]) -> tuple[Contact, ...]:
     """Raise `InputError` unless `contacts` are contacts of single points; return the held contacts."""
     if not contacts:
-        raise InputError("contact: no contact given", value=contacts)
+        raise InputError("contact: no contact given, at least one expected", value=contacts)
     for contact in contacts:
         check_contact("contact", contact)
     return check_held(held)

@@ -40,8 +40,8 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         ) from error
     if root_joint and model.joints[1].shortname() != "JointModelFreeFlyer":
         raise ModelError(
-            f"free_flyer: the first body of {path} has joints of its own to the world, and Pinocchio adds no "
-            "other; give it a freejoint in the file",
+            f"free_flyer: True given, but the first body of {path} has joints to the world already; give it "
+            "a freejoint in the file instead",
             value=True,
         )
     for option in root.findall("option[@gravity]"):  # the last one holds
@@ -58,15 +58,14 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
     if len(trees) > 1:
         names = ", ".join(tree.get("name", "unnamed") for tree in trees[1:])
         warnings.warn(
-            f"the moving bodies of {path} beside the first ({names}) are left out; load them from files of "
-            "their own",
+            f"only the first moving body of {path} is loaded; load the others ({names}) from separate files",
             stacklevel=4,
         )
     different = [] if root_joint or len(trees) > 1 else _differences(model, path)
     if different:
         warnings.warn(
-            f"the robot of {path} differs from MuJoCo's in {', '.join(different)}: Pinocchio ignores "
-            "or reads otherwise a part of the file",
+            f"the robot of {path} differs from MuJoCo's in {', '.join(different)}: Pinocchio ignores a part "
+            "of the file or interprets it differently",
             stacklevel=4,
         )
     left_out = [constraint.tag for constraint in root.findall("equality/*")]

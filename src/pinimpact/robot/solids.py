@@ -106,7 +106,7 @@ class Solid(Surface):
 
     def distance(self, point: ArrayLike) -> float:
         """Raise `InputError`: it is not known without the robot."""
-        raise InputError(f"plane: the distance of a point from {self.label!r} is not known", value=self)
+        raise InputError(f"plane: {self.label!r} has no distance function for points", value=self)
 
 
 def _sides(field: str, value: Any) -> Vector:

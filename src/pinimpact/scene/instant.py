@@ -195,7 +195,7 @@ class Instant:
         """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
         contacts = np.flatnonzero(self._where[: self.dynamics.work.contacts] != APART)
         if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
-            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch")
+            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies are active at once")
 
     def collide(self, touching: float, slowest: float, unresolved: float, pressed: Bools | bool) -> None:
         """Resolve the impacts at the end of a time step.

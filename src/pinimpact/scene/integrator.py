@@ -376,7 +376,7 @@ class Integrator:
 
     def _report_violation(self, text: str) -> None:
         """Note that the forces violate Coulomb's law."""
-        self.instant.note(f"{text}: the motion may be wrong here; near Painlevé's paradox there may be none.")
+        self.instant.note(f"{text}. The motion may be wrong; near Painlevé's paradox no solution may exist.")
 
     def _arriving(self) -> int | None:
         """Return the number of the contact or limit whose gap closes at the event last located, or None."""

@@ -90,10 +90,9 @@ class Progress:
         stays = covered < PROGRESS * self._time_scale and moved <= PROGRESS * max(fastest, self._speed)
         if self._jumps and stays and ended(self._instant, count) < BY_EVENTS * count:
             return IrregularMotionError(
-                f"control: it jumps again and again, or is too stiff, at t = {t:.6g} s, "
-                f"where {count} steps cover {covered:.2g} s; "
-                "give dry friction as the model's friction, which also holds joints at rest, and sample a "
-                "control that switches, with period="
+                f"control: it is discontinuous or too stiff at t = {t:.6g} s, where {count} steps "
+                f"cover {covered:.2g} s; give dry friction as the model's friction, which also holds joints "
+                "at rest, and sample a control that switches by period="
             )
         least = max(PROGRESS * fastest, self._instant.dynamics.error(velocity))
         if not (moved > least or covered > STALLED * scale):

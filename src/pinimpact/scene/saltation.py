@@ -472,8 +472,8 @@ def saltation_matrix(
     name = contact.label if isinstance(contact, Contact) else contact
     if scene.period is not None and scene.control is not None and "control" not in scene.without:
         raise InputError(
-            "period: the force of a sampled control at an impact is that of a state before, which is not "
-            "known; use simulate(..., sensitivities=)",
+            f"period: {scene.period} given; the force of a sampled control depends on an earlier state, "
+            "which is not an argument; use simulate(..., sensitivities=)",
             value=scene.period,
         )
     integrator = Integrator(scene, q, v, Options(max_impacts=1))
@@ -491,7 +491,7 @@ def saltation_matrix(
     for other, rate in zip(instant.names, rates.tolist(), strict=True):
         if rate <= work.resting_speed and other != name:
             raise InputError(
-                f"contact: {other!r} is closed as {name!r} collides; use simulate(..., sensitivities=)",
+                f"contact: {other!r} is active while {name!r} collides; use simulate(..., sensitivities=)",
                 value=name,
             )
     after = saltation.before(impacts[0], None)

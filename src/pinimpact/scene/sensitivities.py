@@ -137,11 +137,14 @@ def parse(scene: Scene, names: Any) -> tuple[str, ...]:
             )
         if found is not None and found.pair is not None:
             raise InputError(
-                f"sensitivities: {name!r} is of a contact of two shapes; available are those by the state",
+                f'sensitivities: {name!r} given, but contacts of two shapes support "state" only',
                 value=name,
             )
         if found is not None and kind == "restitution" and callable(found.restitution):
-            raise InputError(f"sensitivities: {name!r} given, but its restitution is a function", value=name)
+            raise InputError(
+                f"sensitivities: {name!r} given, but its restitution is a function; a number is expected",
+                value=name,
+            )
     return names
 
 

@@ -114,7 +114,7 @@ def integrator_of(scheme: str, scene: Scene, q0: ArrayLike, v0: ArrayLike, optio
         if integrator.state.overlap is not None:
             raise InputError(
                 f"{integrator.state.overlap}; start with every contact on or above its surface and every "
-                'joint within its limits, or with scheme="auto", which removes what time steps leave',
+                'joint within its limits, or use scheme="auto", which removes small penetrations',
                 field="q0",
                 value=q0,
             )

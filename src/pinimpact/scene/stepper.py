@@ -80,7 +80,7 @@ class Stepper:
     ) -> None:
         if isinstance(scene, Scene) and scene.control is not None:
             raise InputError(
-                "scene: it has a control, but a Stepper takes the forces of step(tau, dt); remove control=",
+                "scene: it has a control, but a Stepper applies the forces of step(tau, dt); remove control=",
                 value=scene,
             )
         self._scene = scene

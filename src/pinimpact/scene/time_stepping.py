@@ -270,8 +270,8 @@ class TimeStepping(Integrator):
         """Raise an error if the velocities are not finite or the contact problem is not solved."""
         if not np.isfinite(found.v_end).all():
             raise IrregularMotionError(
-                f"scene: the velocities grow beyond all numbers at t = {t:.6g} s; a control may be unstable, "
-                "for instance with gains that are too high for its period"
+                f"scene: the velocities are not finite at t = {t:.6g} s; the control may be unstable, for "
+                "instance with gains that are too high for its period"
             )
         if residual > FAILED:
             raise IrregularMotionError(

@@ -60,7 +60,7 @@ def compare(
     level, seed = checks.level(level), checks.whole_number("seed", seed, 0)
     (one, rows), (two, others) = _by_group("test", test), _by_group("other", other)
     if type(test) is not type(other) or (truth_value("paired", paired) and rows != others):
-        raise InputError("other: its errors are not of the data of test", value=other)
+        raise InputError("other: its errors belong to data other than those of test", value=other)
     options = {"confidence_level": level, "n_resamples": RESAMPLES, "rng": np.random.default_rng(seed)}
     difference = one.mean(axis=0) - two.mean(axis=0)
     if paired:

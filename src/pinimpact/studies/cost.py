@@ -310,7 +310,7 @@ def _measure(
 
 
 def _kernel(problem: ImpactProblem, method: str, setting: dict[str, Any]) -> Callable[[int], Any] | None:
-    """Return a compiled function (count) that solves the problem this many times; None without a kernel."""
+    """Return a function (count) that solves the problem in compiled code; None if there is no kernel."""
     from ..contact_space._kernels.butcher import DORMAND_PRINCE, EULER, RK4
     from ..contact_space._kernels.timing import repeat_exact, repeat_stepping
     from ..contact_space.methods import FIRST_STEPS

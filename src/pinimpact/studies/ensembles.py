@@ -347,8 +347,8 @@ def _failed(what: str, pieces: _Pieces, executor: Executor | int) -> SimulationE
     """Return an error that names the samples in flight."""
     first, last = min(a for a, _ in pieces.lost), max(a + count for a, count in pieces.lost) - 1
     return SimulationError(
-        f"executor: {what} in samples {first} to {last}. What is finished is kept with out=; continue by "
-        "resume=True",
+        f"executor: {what} in samples {first} to {last}; with out=, finished samples are saved, and "
+        "resume=True continues",
         value=executor,
     )
 

@@ -273,7 +273,7 @@ def _of_arrays(
     """Return impacts given by (W, v⁻, v⁺)."""
     if stiff := _stiffened(free):
         raise InputError(
-            f"free: {stiff[0]} is of the joints of a robot; give (q, v_before, v_after) and a scene",
+            f"free: {stiff[0]} is a parameter of robot joints; give (q, v_before, v_after) and a scene",
             value=stiff,
         )
     W, before, after = arrays_of(found, "(delassus, v_before, v_after) without a scene")

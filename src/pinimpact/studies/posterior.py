@@ -44,7 +44,7 @@ class Posterior(Normal):
             if (drawn >= low).all() and (drawn <= high).all():
                 return drawn
         raise InputError(
-            f"fitted: no draws about {self.mean.tolist()} are within the bounds; fit it with wider ones",
+            f"fitted: no draws around {self.mean.tolist()} are within the bounds; fit with wider bounds",
             value=self.mean,
         )
 

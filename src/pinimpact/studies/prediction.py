@@ -52,7 +52,7 @@ class Prediction:
         columns = self.ensemble.columns
         ended = columns["status"] == "OK"
         if not ended.any():
-            raise InputError("samples: none has an end; see ensemble.frequencies()")
+            raise InputError("samples: no sample has a final pose; see ensemble.frequencies()")
         names = ("x", "y", "z", "qx", "qy", "qz", "qw")
         values = np.array([columns[f"q.{self.base}.{name}"][ended] for name in names], dtype=float).T
         return values[:, :3], Rotation.from_quat(values[:, 3:])
@@ -159,9 +159,9 @@ def predict(
     model = scene.model
     free = [name for name, joint in zip(model.names, model.joints, strict=True) if joint.nq == 7]
     if not free:
-        raise InputError("scene: no body has a free joint, whose pose could be predicted")
+        raise InputError("scene: no body has a free joint, so there is no pose to predict")
     if "reduce" in options:
-        raise InputError("reduce: given, but predict needs the pose at the end")
+        raise InputError("reduce: given, but predict sets it to the final pose; remove it")
     over: dict[str | tuple[str, ...], Any] = {}
     scatter = dict(scatter or {})
     for one in as_tuple("fitted", fitted, Identified, "a result of identify"):

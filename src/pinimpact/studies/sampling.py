@@ -87,7 +87,8 @@ class Sampling:
                 raise UnknownNameError(f"over: {in_short(part)} is not a parameter; {choices}", value=part)
             if of and of not in known:
                 raise UnknownNameError(
-                    f"over: {part!r} names nothing in this scene; {near_matches(of, known)}", value=part
+                    f"over: {part!r} given, but the scene has no {of!r}; {near_matches(of, known)}",
+                    value=part,
                 )
         return tuple(names)
 

@@ -155,7 +155,7 @@ class StudyFolder:
             raise self._in_use(f"{self.path} has another study ({how});")
         other = {name: v for name, v in self.about["versions"].items() if versions.get(name) != v}
         for name, version in other.items():
-            begun = f"the study in {self.path} was begun with {name} {versions.get(name)}, here is {version}"
+            begun = f"the study in {self.path} used {name} {versions.get(name)}, but {version} is installed"
             raise self._in_use(f"{begun}; continue it with the same versions, or")
         if not resume:
             raise self._in_use(
