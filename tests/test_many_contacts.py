@@ -664,7 +664,7 @@ def test_bad_policies():
     problem = ImpactProblem(*_cradle_of("energetic"))
     with pytest.raises(pinimpact.UnknownNameError, match="simultaneous: 'all' is not a policy"):
         solve_impact(problem, simultaneous="all")
-    with pytest.raises(LawError, match='"together" has only'):
+    with pytest.raises(LawError, match='"together" supports Poisson'):
         solve_impact(problem, simultaneous="together")
     with pytest.raises(pinimpact.UnknownNameError, match="seed: unknown option of 'propagate'"):
         solve_impact(problem, simultaneous="propagate", seed=1)
