@@ -12,7 +12,7 @@ import pinimpact
 from pinimpact import Boundary, Contact, Plane, Scene, Stepper, simulate
 
 from .robot_cases import load
-from .test_sensitivities import FREE, agrees, modes
+from .test_sensitivities import FREE, check_sensitivity, modes
 from .test_step_derivatives import two_boxes
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.JointLimitWarning")
@@ -51,21 +51,21 @@ def landing(mu, e, v, dry=0.0):
 
 def test_a_foot_strikes_while_another_sticks():
     scene, q, v = landing(2.0, 0.0, [0.0, 0.0, -0.3])
-    run = agrees(scene, q, v, 0.03, 1, ("friction:second",))
+    run = check_sensitivity(scene, q, v, 0.03, 1, ("friction:second",))
     assert {"first", "second"} in groups(run)
     assert {("first", "stick"), ("second", "stick")} <= modes(run)
 
 
 def test_a_foot_bounces_while_another_slides():
     scene, q, v = landing(0.05, 0.4, [0.5, 0.1, -0.3])
-    run = agrees(scene, q, v, 0.018, 2, ("friction:first", "restitution:second"))
+    run = check_sensitivity(scene, q, v, 0.018, 2, ("friction:first", "restitution:second"))
     assert {"first", "second"} in groups(run)
     assert ("first", "slip") in modes(run)
 
 
 def test_joints_with_dry_friction_take_part():
     scene, q, v = landing(2.0, 0.0, [0.5, 0.1, -0.3], dry=0.3)
-    run = agrees(scene, q, v, 0.03, 3)
+    run = check_sensitivity(scene, q, v, 0.03, 3)
     assert groups(run)
     assert any(mode == "stuck" for _, mode in modes(run))
 
@@ -82,7 +82,7 @@ def test_three_feet(e):
         Contact(f"{leg}_FOOT", Plane(), mu, bounce, "energetic", radius=0.016, name=leg)
         for leg, mu, bounce in (("FL", 0.8, 0.0), ("HR", 0.5, e), ("FR", 0.5, e))
     ]
-    run = agrees(Scene(model, feet, **FREE), q, v, 0.12, 1, ("friction:HR",))
+    run = check_sensitivity(Scene(model, feet, **FREE), q, v, 0.12, 1, ("friction:HR",))
     assert groups(run)
 
 
@@ -107,7 +107,7 @@ def test_a_joint_limit_takes_part(e, dry):
     model = arm()
     model.friction[:] = dry
     tip = Contact("tip", Plane(point=(0, 0, -0.45)), 0.3, e, "energetic", name="tip")
-    run = agrees(
+    run = check_sensitivity(
         Scene(model, [tip], limit_restitution=0.0), *np.array([[-0.2, -0.25, 0.05], [0.3, -0.2, 0.1]]), 0.5, 0
     )
     assert {"tip", "j1 lower"} in groups(run)
@@ -118,7 +118,7 @@ def test_what_is_at_rest_has_its_restitution():
     tip = Contact("tip", Plane(point=(0, 0, -0.45)), 0.1, 0.4, "energetic", name="tip")
     scene = Scene(arm(), [tip], limit_restitution=0.5)
     start = np.array([[0.2, -0.05, 0.05], [1.3, -1.0, 0.1]])
-    run = agrees(scene, *start, 0.209, 3, ("friction:tip", "restitution:tip"))
+    run = check_sensitivity(scene, *start, 0.209, 3, ("friction:tip", "restitution:tip"))
     assert {"tip", "j1 lower"} in groups(run)
     assert ("tip", "slip") in modes(run)
 
@@ -128,14 +128,14 @@ def test_two_joint_limits():
     model = arm()
     model.lowerPositionLimit[0] = -0.5
     start = np.array([[-0.2, -0.29, 0.05], [-3.0, -0.3, 2.0]])
-    run = agrees(Scene(model, [], limit_restitution=0.5), *start, 0.116, 2)
+    run = check_sensitivity(Scene(model, [], limit_restitution=0.5), *start, 0.116, 2)
     assert {"j1 lower", "j0 lower"} in groups(run)
 
 
 @pytest.mark.parametrize("e", [0.0, 0.5])
 def test_a_joint_limit_beside_a_locked_joint(e):
     scene = Scene(arm(), [], limit_restitution=e, locked=["j2"])
-    run = agrees(scene, *np.array([[-0.2, -0.25, 0.05], [0.3, -0.2, 0.0]]), 0.1, 1)
+    run = check_sensitivity(scene, *np.array([[-0.2, -0.25, 0.05], [0.3, -0.2, 0.0]]), 0.1, 1)
     assert run.impacts[0].source == "j1 lower"
 
 
@@ -161,7 +161,7 @@ def test_a_planar_biped(mu, e):
     q, data = np.array([0, 1, 1, 0, 0.3, -0.2, -0.25, -0.1]), model.createData()
     v = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3, 0.2])
     q[1] -= min(foot.gap(model, data, q) for foot in feet) - 0.02
-    run = agrees(Scene(model, feet), q, v, 0.15, 0, ("friction:r",))
+    run = check_sensitivity(Scene(model, feet), q, v, 0.15, 0, ("friction:r",))
     assert len(run.impacts) >= 2
 
 

@@ -146,11 +146,11 @@ def test_a_scene_is_the_same_either_way(way):
 @pytest.mark.parametrize(
     "test",
     [
-        test_simulation.test_a_belt_brings_a_block_to_its_speed_and_pays_for_it,
-        partial(test_simulation.test_a_ball_that_slides_comes_to_roll, 0.7),
-        test_simulation.test_a_joint_stops_at_its_limit,
-        test_simulation.test_dry_friction_in_a_joint_stops_it_and_holds_it,
-        test_simulation.test_a_held_tip_is_a_hinge,
+        test_simulation.test_belt_accelerates_block_with_work_of_surface,
+        partial(test_simulation.test_sliding_ball_starts_to_roll, 0.7),
+        test_simulation.test_joint_limit_rebounds_and_supports_load,
+        test_simulation.test_dry_friction_stops_and_holds_joint,
+        test_simulation.test_held_tip_is_equivalent_to_hinge,
         *(
             partial(
                 test_contacts_matrices.test_gap_and_jacobian_are_those_of_the_moving_points,
