@@ -422,7 +422,7 @@ def test_invalid_input_raises():
     with pytest.raises(InputError, match="geometry: 'thing_0' is not a pinocchio GeometryModel"):
         Scene(robot.model, geometry="thing_0")
     with pytest.raises(
-        InputError, match="is a box, of which the points that touch a sphere depend on the configuration"
+        InputError, match="is a box, whose contact points with a sphere depend on the configuration"
     ):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
     ball = Contact(geometry="thing_0", plane=Sphere(radius=1.0))

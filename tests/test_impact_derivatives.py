@@ -301,7 +301,9 @@ def test_shapes_that_touch(kind):
     assert close(d.dv_dv, by_v[:12])
     assert close(d.dP_dv, by_v[12:])
 
-    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), 12)  # also where they part or overlap
+    # at gaps above CLOSE normals of vertices and edges have errors of 1e-11
+    step = STEP if "ball" in kind else 3.0 * STEP
+    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), 12, step)  # also where they part or overlap
     assert close(d.dv_dq, by_q[:12])
     assert close(d.dP_dq, by_q[12:])
 

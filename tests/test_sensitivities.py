@@ -335,7 +335,7 @@ def test_saltation_raises_if_another_contact_is_active():
     run = simulate(scene, q, v, 0.12, **EXACT, sensitivities="state")
     assert [record.source for record in run.impacts] == ["panda_joint4 lower", "hand"]
     record = run.impacts[1]
-    with pytest.raises(pinimpact.InputError, match="'panda_joint4 lower' is closed"):
+    with pytest.raises(pinimpact.InputError, match="'panda_joint4 lower' is active"):
         pinimpact.saltation_matrix(scene, "hand", record.q, record.v_before)
     towards = np.random.default_rng(0).normal(size=18)
     expected = difference_quotient(scene, q, v, 0.12, towards)

@@ -280,7 +280,7 @@ def test_gap_of_two_shapes_is_their_distance():
         q = np.concatenate([pose(*place), pose(0.0, 0.0, 0.0)])
         contact = Contact(geometry="a", plane=surface)
         assert contact.gap(robot, robot.data, q) == pytest.approx(distance, abs=1e-9)
-    with pytest.raises(InputError, match="which the points that touch a box depend on the configuration"):
+    with pytest.raises(InputError, match="whose contact points with a box depend on the configuration"):
         Contact(geometry="a", plane=block).tips(balls)
 
 

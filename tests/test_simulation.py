@@ -345,7 +345,7 @@ def test_chattering_control_raises_and_suggested_remedies_succeed(rtol):
         return np.array([0.3 - np.sign(v[0]), 0.0, 0.0])
 
     scene = Scene(model, control=rubbing, without=["gravity"])
-    with pytest.raises(SimulationError, match=r"jumps.*friction.*period=") as caught:
+    with pytest.raises(SimulationError, match=r"discontinuous.*friction.*period=") as caught:
         simulate(scene, np.zeros(3), [1.0, 0.0, 0.0], 3.0, scheme="event-driven", **tolerances)
     assert caught.value.field == "control"
     assert 1.0 < caught.value.partial.t[-1] < 2.0
