@@ -61,12 +61,12 @@ def coordinate_rates(table: Integers, q: Array, nv: int) -> Array:
     return rates
 
 
-def midpoint(table: Integers, q: Array, v: Array, h: float) -> tuple[Array, Array]:
-    """Return q ⊕ ½hv (nq,), and v (nv,) in the axes that free bodies have there."""
-    middle, turned, displacement = np.empty(len(q)), np.empty(len(v)), 0.5 * h * v
-    advance(table, q, displacement, middle)
+def displaced(table: Integers, q: Array, v: Array, displacement: Array) -> tuple[Array, Array]:
+    """Return q ⊕ ξ (nq,) for a displacement ξ (nv,), and v (nv,) in the axes that free bodies have there."""
+    end, turned = np.empty(len(q)), np.empty(len(v))
+    advance(table, q, displacement, end)
     turn_axes(table, displacement, v, turned)
-    return middle, turned
+    return end, turned
 
 
 def turning(frames: list[list[int]], v: Array) -> tuple[Array, Array]:

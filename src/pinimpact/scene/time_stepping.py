@@ -20,7 +20,7 @@ from ..errors import IrregularMotionError
 from ..robot.forest import has_constant_mass, mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
-from ._kernels.lie_charts import advance, turn_axes, velocity_within
+from ._kernels.lie_charts import velocity_within
 from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
@@ -32,7 +32,7 @@ from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
-from .joint_charts import midpoint
+from .joint_charts import displaced
 from .rest import Rest
 from .step_taken import Near, Removal, StepTaken
 from .switched_off import locked_joints
@@ -166,7 +166,7 @@ class TimeStepping(Integrator):
             `WHOLE` or `CUT` if the step is accepted, `MISSED` or `PASSED` if it is rejected.
         """
         state, before = self.state, (self.state.pushed, self.state.step_before)
-        middle, v = midpoint(self.work.joint_charts, state.q, state.v, h)
+        middle, v = displaced(self.work.joint_charts, state.q, state.v, 0.5 * h * state.v)
         may_be_halved = h > STEPS_SHORTEST * self._dt
         if may_be_halved and self._faces.may_pass(middle, v, h):
             return PASSED
@@ -428,7 +428,7 @@ class TimeStepping(Integrator):
             system: Matrices of the step.
         """
         state, nv, v = self.state, self.model.nv, self.state.v
-        moved, still, before = np.zeros(nv), np.zeros(nv), self._energy_at(state.q)
+        moved, still, before = np.zeros(nv), np.zeros(nv), self._energy()
         for attempt in range(MOST_REMOVALS):
             self._faces.place(state.q, state.v, h)
             unknown = attempt > 0 and not len(self._held)
@@ -444,18 +444,15 @@ class TimeStepping(Integrator):
             if step.taken is not None:
                 near = self._near_of(rows)
                 step.taken.removals.append(Removal(correction, pushes, state.q, state.v, rows, near))
-            opened, turned = np.empty(len(state.q)), np.empty(nv)
-            advance(self.work.joint_charts, state.q, correction, opened)
-            turn_axes(self.work.joint_charts, correction, state.v, turned)
-            state.q, state.v = opened, turned
+            state.q, state.v = displaced(self.work.joint_charts, state.q, state.v, correction)
             moved += correction
-        state.impact_energy += self._energy_at(state.q) - before
+        state.impact_energy += self._energy() - before
         step.coefficients[0, : 2 * nv] += np.concatenate([moved, state.v - v])
         return moved
 
-    def _energy_at(self, q: Array) -> float:
-        """Return the energy at q with the present velocity [J]."""
-        model, data = self.model, self.data
+    def _energy(self) -> float:
+        """Return the present energy [J]."""
+        model, data, q = self.model, self.data, self.state.q
         return potential_energy(model, data, q) + kinetic_energy(model, data, q, self.state.v)
 
     # ---- impacts
