@@ -1,4 +1,4 @@
-"""What rests at a change of modes: the least change of the velocity, against linear algebra by NumPy."""
+"""The least change of velocity (11.9) that stops sticking contacts and held joints, against NumPy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONTACT = 3
 
 @numba.njit
 def come_to_rest(minverse, rows, start, rests, against, moves, first, error, metres, on, v):
-    """`come_to_rest`, which is called from kernels only; slip turns back however slowly."""
+    """Call the kernel `come_to_rest` from Python; reversed slip is not ignored at any speed."""
     limits = error, 0.0, np.inf
     return coming_to_rest.come_to_rest(
         minverse, rows, start, rests, against, moves, first, *limits, metres, on, v
@@ -25,13 +25,13 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, met
 
 
 def projected(inertia, rows, v):
-    """Return the velocity that is nearest to v, as the inertia measures it, and for which rows vanish."""
+    """Return the velocity nearest to v in the metric of the inertia for which the given rows vanish."""
     response = np.linalg.solve(inertia, rows.T)
     return v - response @ np.linalg.lstsq(rows @ response, rows @ v, rcond=1e-13)[0]
 
 
 def settled(inertia, rows, v, rests, against, moves, first, error, metres=None):
-    """Return the velocity after `come_to_rest`, what rests then, what goes on, and the energy gained."""
+    """Return the velocity after `come_to_rest`, rows at rest, rows that keep sliding, and energy gained."""
     after, rests, on = v.copy(), rests.copy(), np.zeros(len(rows), dtype=np.int64)
     inverse = np.linalg.inv(inertia)
     arguments = against, moves, first, error, np.ones(len(v)) if metres is None else metres, on, after
@@ -63,25 +63,25 @@ def test_it_is_the_least_change_after_which_nothing_begins_against_its_friction(
 
 
 @pytest.mark.parametrize("lean", [1e-5, 1e-7])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_joint_whose_row_hardly_differs_from_those_at_rest_goes_as_they_have_it(lean, way):
-    """A rod leans against rail 0: its tip at rest moves the rail by `lean` of how fast the rod moves.
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_joint_whose_row_almost_depends_on_rows_at_rest_keeps_moving(lean, sign):
+    """While its tip rests, a rod that moves at unit speed moves the joint, rail 0, at the speed `lean`.
 
-    To stop that rail, whose force is against it, would take all of the motion along the rod.
+    Stopping this joint, which moves against its friction, would stop the whole motion along the rod.
     """
     rows = np.array([[1.0, lean, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
-    v = np.array([-lean, 1.0, 0.0, 0.0]) * -way
-    rests, against = np.array([True, True, True, False]), np.array([0.0, 0.0, 0.0, way])
+    v = np.array([-lean, 1.0, 0.0, 0.0]) * -sign
+    rests, against = np.array([True, True, True, False]), np.array([0.0, 0.0, 0.0, sign])
     after, resting, on, _ = settled(np.eye(4), rows, v, rests, against, ~rests, CONTACT, 1e-3)
-    assert on.tolist() == [0, 0, 0, way]
+    assert on.tolist() == [0, 0, 0, sign]
     assert not resting[3]
     assert after == pytest.approx(v, abs=1e-15)
 
 
 @pytest.mark.parametrize("unit", [2.0**-20, 2.0**20])
 @pytest.mark.parametrize("error", [1e-3, 1e3])
-def test_what_stops_does_not_depend_on_the_units_of_velocities(unit, error):
-    """The rod of above, whose own velocity has a unit of so many metres: it turns at the end of a lever."""
+def test_stopped_rows_do_not_depend_on_units_of_velocities(unit, error):
+    """The previous rod, with its velocity in units of `unit` metres, as if it were a joint with a lever."""
     metres = np.array([1.0, unit, 1.0, 1.0])
     rows = np.array([[1.0, 1e-5, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0], [1.0, 0, 0, 0]])
     v = np.array([1e-5, -1.0, 0.0, 0.0])
@@ -95,8 +95,8 @@ def test_what_stops_does_not_depend_on_the_units_of_velocities(unit, error):
     assert (other[2] == on).all()
 
 
-def test_what_throws_a_joint_by_its_rest_goes_on_instead():
-    """The same rail at rest while the tip still slips by as little as `lean` of that."""
+def test_contact_whose_sticking_would_accelerate_a_joint_keeps_sliding():
+    """The same rail at rest, while the tip still slides at `lean` times the speed of the rod."""
     lean = 1e-6
     rows = np.array([[1.0, lean, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
     v = np.array([0.0, 1.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Robots of many trees, which have one Pinocchio Data for a few trees each, against one Data of the whole."""
+"""Robots of many kinematic trees, with one Pinocchio Data per few trees, against a single Data."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .scene_models import UP, G, unbounded
 
 
 def several(most=0.3):
-    """Return two arms with a free body before, between and after them, and a state at random."""
+    """Return a model of two arms with a free body before, between and after them, and a random state."""
     model = pin.Model()
     for k in range(5):
         if k % 2:
@@ -51,7 +51,7 @@ def several(most=0.3):
     return model, q, rng.normal(size=model.nv)
 
 
-def test_what_is_put_together_of_parts_is_that_of_the_whole():
+def test_fields_assembled_from_parts_equal_those_of_the_whole():
     pin.seed(3)
     model, q, v = several()
     forest, data = Forest(model, 7), model.createData()
@@ -80,11 +80,11 @@ def test_what_is_put_together_of_parts_is_that_of_the_whole():
 
 
 @pytest.mark.parametrize("armature", [0.0, 0.3])
-def test_dynamics_of_parts_are_those_of_the_whole(armature):
+def test_dynamics_of_parts_equal_those_of_the_whole(armature):
     pin.seed(3)
     model, q, v = several(armature)
     whole, parts = _InPlace(model), _OfParts(model, Forest(model, 7))
-    model.inertias[1] = pin.Inertia.FromEllipsoid(2.0, 0.1, 0.2, 0.4)  # what has changed since counts
+    model.inertias[1] = pin.Inertia.FromEllipsoid(2.0, 0.1, 0.2, 0.4)  # changes of the model take effect
     parts.refresh()
     for robot in (whole, parts):
         robot.q[:], robot.v[:], robot.tau[:] = q, v, np.linspace(-3.0, 3.0, model.nv)
@@ -99,7 +99,7 @@ def test_dynamics_of_parts_are_those_of_the_whole(armature):
 
 
 @pytest.mark.parametrize("held", [(), ("free 2",)])
-def test_derivatives_of_an_impact_are_those_of_the_whole(held):
+def test_derivatives_of_impact_equal_those_of_the_whole(held):
     pin.seed(3)
     model, q, _ = several()
     contact = Contact("free 0", Plane(body="free 4"), friction=0.5, restitution=0.4)
@@ -113,7 +113,7 @@ def test_derivatives_of_an_impact_are_those_of_the_whole(held):
     assert np.abs(one.block - other.block).max() <= 1e-9 * np.abs(other.block).max()
 
 
-def test_contacts_between_trees_and_their_impacts_are_those_of_the_whole():
+def test_contacts_and_impacts_between_trees_equal_those_of_the_whole():
     pin.seed(3)
     model, q, v = several()
     forest, data = Forest(model, 7), model.createData()
@@ -135,7 +135,7 @@ def test_contacts_between_trees_and_their_impacts_are_those_of_the_whole():
 
 
 def free_boxes(count, e):
-    """Return a scene of free boxes above a floor, of which none meets another."""
+    """Return a scene of free boxes above a floor, without contacts between boxes."""
     model, shapes, contacts = pin.Model(), pin.GeometryModel(), []
     for k in range(count):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box {k}")
@@ -152,7 +152,7 @@ def free_boxes(count, e):
 
 
 @pytest.mark.parametrize("scheme", ["time-stepping", "event-driven"])
-def test_boxes_apart_move_as_one_alone(scheme):
+def test_separate_boxes_move_as_one_alone(scheme):
     count = 12
     rng = np.random.default_rng(1)
     pin.seed(1)
@@ -167,15 +167,15 @@ def test_boxes_apart_move_as_one_alone(scheme):
     alone = free_boxes(1, 0.4)
     for k in range(0, count, 4):
         one = simulate(alone, placed[k], moving[k], 0.15, scheme=scheme, dt=1e-3)
-        # impacts cut the steps of all, so time steps are others; events are found by the tolerance
+        # impacts of any box cut the time steps of all; events are located to within the tolerance
         error = 2e-3 if scheme == "time-stepping" else 1e-6
         assert np.abs(together.q[-1, 7 * k : 7 * k + 7] - one.q[-1]).max() < error
         own = [record for record in together.impacts if record.source.startswith(f"box {k} ")]
         assert len(own) == len(one.impacts)
 
 
-def test_a_hundred_free_boxes_fall_bounce_and_rest():
-    """Their heights differ, so that each lands by itself, at √(2h/g)."""
+def test_hundred_free_boxes_fall_and_bounce():
+    """A box at height h lands at √(2h/g); heights differ, so no two land at once."""
     count, e = 100, 0.3
     heights = np.linspace(0.01, 0.04, count)
     q0 = np.array([[0.5 * (k % 10), 0.5 * (k // 10), 0.05 + h, *UP] for k, h in enumerate(heights)])
@@ -192,7 +192,7 @@ def test_a_hundred_free_boxes_fall_bounce_and_rest():
     assert run.q[-1].reshape(count, 7)[:, 2] == pytest.approx(np.full(count, 0.05), abs=1e-8)
 
 
-def test_robots_put_together_have_data_when_asked():
+def test_merged_robots_create_data_on_first_access():
     parts = [
         Placed(pin.RobotWrapper(pin.buildSampleModelManipulator()), f"{k} ", pin.SE3.Random()) for k in (1, 2)
     ]
@@ -209,7 +209,7 @@ def test_robots_put_together_have_data_when_asked():
     assert len(robot.collision_data.oMg) == len(other.collision_data.oMg)
 
 
-def test_placements_of_joints_for_replays_are_those_of_the_whole():
+def test_placements_of_joints_for_replays_equal_those_of_the_whole():
     model = several()[0]
     for prefix in ("again", "once more"):
         model = pin.appendModel(model, _renamed(several()[0], prefix), 0, pin.SE3.Identity())

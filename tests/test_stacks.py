@@ -1,4 +1,4 @@
-"""Stacks of boxes that slide on each other, against a closed form and small implicit time steps."""
+"""Stacks of boxes that slide on each other, against a closed form and implicit time steps."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .drawing import examples
 from .scene_models import G
 
 HEIGHT, HALF = 1e-3, 30.0
-"""Half of a box's height, and of its sides: none tips, nor comes to an edge."""
+"""Half of the height and of the sides of a box [m]; boxes neither tip nor slide off the one below."""
 
 
 def stack(frictions, order, load, place):
-    """A scene of boxes of 1 kg, each on the corners of its own, with a load (a function of time) on one.
+    """Return a scene of boxes of 1 kg, one on the other, of which one is pulled, and its configuration.
 
     Args:
-        frictions: Coefficients, of the lowest box first.
-        order: In which the contacts are numbered.
-        load: Force along x [N].
-        place: The box that it pulls.
+        frictions: Coefficients of friction of the bottom faces, the lowest box first.
+        order: Order of the contacts, the four corners of each box.
+        load: Force along x as a function of time [N].
+        place: Index of the box that is pulled.
     """
     model, contacts = pin.Model(), []
     for k, mu in enumerate(frictions):
@@ -53,27 +53,33 @@ def stack(frictions, order, load, place):
 @pytest.mark.parametrize("boxes", [2, 3, 4])
 @pytest.mark.parametrize("mu", [0.2, 0.5])
 @pytest.mark.parametrize("seed", [None, 1, 2])
-@pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")  # at e = 0 nothing is lost by the end
-def test_a_stack_that_is_pulled_away_below_goes_on_as_one_above(boxes, mu, seed):
-    """The upper boxes all need the friction that they have, at the same time: everything at once, a tie."""
+@pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")  # harmless at e = 0
+def test_boxes_above_the_one_that_is_pulled_away_move_together(boxes, mu, seed):
+    """When the lowest box starts to slide, all boxes above need their maximal friction at once, a tie."""
     rate, numbers = 20.0, np.arange(4 * boxes)
     order = numbers if seed is None else np.random.default_rng(seed).permutation(numbers)
-    onset, parting = boxes * mu * G / rate, 2.0 * boxes * mu * G / rate
-    end = parting + 0.25
+    onset, separation = boxes * mu * G / rate, 2.0 * boxes * mu * G / rate
+    end = separation + 0.25
     scene, q = stack([mu] * boxes, order, lambda t: rate * t, 0)
     trajectory = simulate(scene, q, np.zeros(6 * boxes), end)
-    together = 0.5 * rate / boxes * (parting**2 - onset**2) - mu * G * (parting - onset)
-    below = together + 0.5 * rate * (end**2 - parting**2) - mu * G * (2 * boxes - 1) * (end - parting)
-    above = together + mu * G * (end - parting)
+    together = 0.5 * rate / boxes * (separation**2 - onset**2) - mu * G * (separation - onset)
+    below = together + 0.5 * rate * (end**2 - separation**2) - mu * G * (2 * boxes - 1) * (end - separation)
+    above = together + mu * G * (end - separation)
     assert trajectory.v[-1, ::6] == pytest.approx([below] + [above] * (boxes - 1), rel=1e-7)
 
 
 @numba.njit
 def time_stepping(limits, load, place, step):
-    """Positions of masses of 1 kg, one on the other, whose friction has limits, under impulses of a load.
+    """Return the positions of masses of 1 kg, one on the other, after implicit steps under a load.
 
-    Each step is implicit: impulses p_k within ±limit h, at their limits where box k moves on the one below.
-    The error is of the first order, where friction changes.
+    The friction impulse p_k between box k and the one below is within ± limit · step, and at this bound if
+    the two slide. Errors are of first order, where friction changes.
+
+    Args:
+        limits: Bounds of the friction forces [N].
+        load: Impulses of the load in the steps [N s].
+        place: Index of the mass that is pulled.
+        step: Step size [s].
     """
     n = len(limits)
     x, v, p = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -123,4 +129,4 @@ def test_boxes_slide_on_each_other_as_small_time_steps_have_it(mus, place, size,
     scene, q = stack(mus, order, load, place)
     trajectory = simulate(scene, q, np.zeros(6 * boxes), duration)
     assert trajectory.q[-1, ::7] == pytest.approx(exact, abs=3e-4)
-    assert len(trajectory.notes) <= 1  # that forces are not unique
+    assert len(trajectory.notes) <= 1  # the one that forces are not unique

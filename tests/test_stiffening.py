@@ -32,14 +32,14 @@ def sliders(first, second):
 
 
 def approaching(model, contact, rng):
-    """Return a random (q, v) with an approach."""
+    """Return a random configuration and an approaching velocity."""
     q, v = pin.randomConfiguration(model), rng.normal(size=model.nv)
     data = model.createData()
     return q, v if pinimpact.contact_matrices(model, data, q, contact).velocity(v)[2] < 0 else -v
 
 
 def states(model, contact, count, **options):
-    """Yield random states with the mass matrix and Jacobian there."""
+    """Yield random approaching states with their contact matrices, and the random generator."""
     pin.seed(3)
     rng, data = np.random.default_rng(3), model.createData()
     for _ in range(count):
@@ -49,7 +49,7 @@ def states(model, contact, count, **options):
 
 
 def added(mass, s):
-    """Return K."""
+    """Return the matrix K of stiffening that is added to the mass matrix."""
     return np.diag(s / (1.0 - s) * np.diag(mass))
 
 
@@ -62,7 +62,7 @@ def test_pendulum():
     contact = Contact("tip", Plane(), 0.0, 0.5)
     for s in (0.0, 0.25, 0.9, 1.0 - 1e-9):
         hit = impact(model, model.createData(), np.zeros(1), np.array([2.0]), contact, stiffening=s)
-        # 1 kg m² about the hinge, the tip falls at 2 m/s; the rebound is that of any inertia
+        # inertia 1 kg m² about the hinge, the tip falls at 2 m/s; the rebound is independent of inertia
         assert hit.v[0] == pytest.approx(-1.0, rel=1e-12)
         assert hit.impulse_world[2] == pytest.approx(3.0 / (1.0 - s), rel=1e-9)
 
@@ -74,18 +74,18 @@ def test_two_masses(s):
     contact = Contact("tip", Plane(), 0.0, 0.0)
     stiffening = {"second": s}
     matrices = pinimpact.contact_matrices(model, model.createData(), np.zeros(2), contact, (), (), stiffening)
-    # by hand: 1/b where free, 1/(a + b) where locked
+    # closed form; its limits are 1/b for a free joint and 1/(a + b) for a locked one
     w = (a - b + b / (1.0 - s)) / ((a + b) * b / (1.0 - s) - b * b) if s < 1.0 else 1.0 / (a + b)
     assert matrices.delassus[2, 2] == pytest.approx(w, rel=1e-14)
     hit = impact(
         model, model.createData(), np.zeros(2), np.array([-1.0, 0.0]), contact, stiffening=stiffening
     )
     assert hit.impulse_world[2] == pytest.approx(1.0 / w, rel=1e-14)
-    # what the contact and the control do to the first mass is the force in the second joint
+    # change of momentum of both masses, whose only external impulse is that of the contact
     assert a * (hit.v[0] + 1.0) + b * (hit.v.sum() + 1.0) == pytest.approx(1.0 / w, rel=1e-13)
 
 
-def test_none_is_the_plain_impact_and_one_is_locked(panda):
+def test_zero_is_the_plain_impact_and_one_is_locked(panda):
     contact = Contact("panda_hand_tcp", Plane(), 0.4, 0.5)
     data, locked = panda.createData(), ["panda_joint2", "panda_joint4"]
     for q, v, _, _ in states(panda, contact, 20):
@@ -106,7 +106,7 @@ def test_none_is_the_plain_impact_and_one_is_locked(panda):
         assert np.allclose(nearly.delassus, limit.delassus, rtol=0, atol=1e-8 * limit.delassus.max())
 
 
-def test_all_joints_of_an_arm_locked_cannot_stop_an_approach(panda):
+def test_arm_with_all_joints_locked_cannot_stop_approach(panda):
     contact = Contact("panda_hand_tcp", Plane(), 0.4, 0.5)
     q, v, _, _ = next(states(panda, contact, 1))
     with pytest.raises(pinimpact.UnstoppableApproachError):
@@ -114,7 +114,7 @@ def test_all_joints_of_an_arm_locked_cannot_stop_an_approach(panda):
 
 
 @pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
-def test_rotor_inertia_of_the_same_size_is_the_same(panda, law):
+def test_stiffening_equals_rotor_inertia(panda, law):
     contact = Contact("panda_hand_tcp", Plane(), 0.4, 0.5, law=law)
     for q, v, free, rng in states(panda, contact, 10):
         s = rng.uniform(0.0, 0.95, panda.nv)
@@ -145,7 +145,7 @@ def test_balance_of_momentum_and_energy(panda):
         assert energy[1] <= energy[0] * (1.0 + ROUNDING)
 
 
-def test_equal_stiffening_of_an_arm_takes_away_coupling(panda):
+def test_equal_stiffening_of_all_joints_reduces_coupling(panda):
     contact = Contact("panda_hand_tcp", Plane(), 0.4, 0.5)
     for q, v, free, _ in states(panda, contact, 5):
         s = 0.9
@@ -160,7 +160,7 @@ def test_equal_stiffening_of_an_arm_takes_away_coupling(panda):
         assert np.allclose(hit.v, v + response @ impulse, rtol=0, atol=ROUNDING * np.abs(hit.v).max())
 
 
-def test_rounding_errors_of_a_stiff_arm_are_as_small_as_its_matrix(panda):
+def test_rounding_errors_of_stiff_arm_are_relative_to_its_matrix(panda):
     contact = Contact("panda_hand_tcp", Plane())
     for q, _, free, _ in states(panda, contact, 5):
         stiff = pinimpact.contact_matrices(panda, panda.createData(), q, contact, stiffening=1.0 - 1e-12)
@@ -195,7 +195,7 @@ def test_more_stiffening_makes_the_contact_harder(panda):
             before = now
 
 
-def test_batches_and_lists_of_contacts_and_held_contacts(panda):
+def test_stiffening_with_batches_several_contacts_and_held_contacts(panda):
     contact = Contact("panda_hand_tcp", Plane(), 0.4, 0.5)
     anchor = Contact("panda_link5", Plane())
     data, stiffening = panda.createData(), {"panda_joint1": 0.5, "panda_joint6": 0.8}
@@ -220,14 +220,14 @@ def test_batches_and_lists_of_contacts_and_held_contacts(panda):
         assert np.array_equal(hits[i].v, alone.v)
 
 
-def test_a_floating_base_stays_free():
+def test_floating_base_stays_free():
     model = pinimpact.load_robot("solo12").model
     contact = Contact("FR_FOOT", Plane(), 0.5, 0.0)
     data = model.createData()
     joints = list(model.names)[2:]
     for q, v, _, _ in states(model, contact, 3):
         all_joints = impact(model, data, q, v, contact, stiffening=1.0)
-        assert np.array_equal(all_joints.v[6:], v[6:])  # one rigid body
+        assert np.array_equal(all_joints.v[6:], v[6:])  # joint velocities of one rigid body do not change
         assert not np.allclose(all_joints.v[:6], v[:6])
         by_joint = impact(model, data, q, v, contact, stiffening=dict.fromkeys(joints, 1.0))
         assert np.array_equal(by_joint.v, all_joints.v)
@@ -254,7 +254,7 @@ def test_a_floating_base_stays_free():
         ({10: 0.5}, UnknownNameError, "there is no joint 10; this model's joints are 1 to 9"),
     ],
 )
-def test_bad_stiffening_is_refused(panda, stiffening, error, match):
+def test_invalid_stiffening_raises(panda, stiffening, error, match):
     contact = Contact("panda_hand_tcp", Plane())
     q, v = pin.neutral(panda), np.ones(panda.nv)
     with pytest.raises(error, match=match):
@@ -269,7 +269,7 @@ FREE = {"friction": (0, 2), "restitution": (0, 1), "stiffening": (0, 1)}
 
 
 def strikes(model, contact, count, rng):
-    """Return (q, v) of random impacts within the joint limits."""
+    """Return configurations within the joint limits and approaching velocities of random impacts."""
     data = model.createData()
     q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit, (count, model.nq))
     v = rng.normal(size=(count, model.nv))
@@ -286,7 +286,7 @@ def arm(panda):
     return Scene(panda, [contact]), q, v
 
 
-def test_slopes_of_fits_are_those_of_difference_quotients(arm):
+def test_derivatives_for_fits_agree_with_difference_quotients(arm):
     scene, q, _ = arm
     scene = replace(scene, locked=["panda_joint3"])
     data, names = scene.model.createData(), ["stiffening", "stiffening:panda_joint4"]
@@ -305,7 +305,7 @@ def test_slopes_of_fits_are_those_of_difference_quotients(arm):
     for p, step in enumerate(h * np.eye(2)):
         for of_fit, name in ((W_slopes, "delassus"), (slopes, "response")):
             above, below = ([getattr(one, name) for one in matrices(x + sign * step)] for sign in (1, -1))
-            quotient = (np.array(above) - below) / (2 * h)  # within h² and rounding over h
+            quotient = (np.array(above) - below) / (2 * h)  # with errors of h² and of rounding over h
             assert np.allclose(of_fit[p], quotient, rtol=0, atol=1e-7 * np.abs(quotient).max())
 
 
@@ -328,7 +328,7 @@ def test_fits_recover_stiffening_friction_and_restitution(arm):
         exact.apply(scene)
 
 
-def test_fits_recover_the_stiffening_of_single_joints(arm):
+def test_fits_recover_stiffening_of_single_joints(arm):
     scene, q, v = arm
     by_joint = dict.fromkeys(list(scene.model.names)[1:], 0.2) | {"panda_joint2": 0.9}
     data = scene.model.createData()
@@ -354,11 +354,11 @@ def test_intervals_contain_the_true_stiffening(arm, by_group):
         noisy = np.array(after) + 0.01 * rng.normal(size=v.shape)
         low, high = studies.identify((q, v, noisy), scene, free=FREE, group=group).interval().T
         inside += (low <= [0.3, 0.4, 0.4]) & (high >= [0.3, 0.4, 0.4])
-    # of 60, at 95 %: 57 ± 1.7
+    # expected at 95 %: 57 ± 1.7 of 60
     assert inside.min() >= 52
 
 
-def test_a_single_joint_does_not_show_its_stiffening():
+def test_stiffening_of_single_joint_is_not_identifiable():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -371,7 +371,7 @@ def test_a_single_joint_does_not_show_its_stiffening():
     assert fit.unidentified[0].startswith("stiffening is not determined")
 
 
-def test_what_cannot_be_fitted_is_refused(arm):
+def test_invalid_fits_of_stiffening_raise(arm):
     scene, q, v = arm
     free = {"stiffening": (0, 1)}
     for scene_of, given, error, match in (
