@@ -13,9 +13,11 @@ from pinimpact import Contact, InputError, JointPD, Plane, Scene, simulate
 from .scene_models import UP, G, ball, pendulum, run, slider, unbounded
 
 
-def mass(control, **options):
+def mass(control, damping=0.0, **options):
     """A free mass of 1 kg on three sliding joints."""
-    return Scene(slider(), control=control, without=["gravity"], **options)
+    model = slider()
+    model.damping = np.full(3, damping)
+    return Scene(model, control=control, without=["gravity"], **options)
 
 
 def oscillator(x, v, kp, kd, t):
@@ -112,6 +114,26 @@ def test_a_stiff_drive_at_its_limit_is_let_go_at_the_exact_time():
     assert (first.mode, first.start) == ("saturated", 0.0)
     assert first.end == pytest.approx(leaves, rel=1e-8)
     assert trajectory.modes[1].mode == "saturated"  # braked as hard as it can
+
+
+@pytest.mark.parametrize(
+    ("kp", "kd", "h"),
+    [(1e2, 1.0, 0.01), (1e6, 0.0, 3e-3), (1e4, 200.0, 4e-3), (1e8, 0.0, 0.01), (1e8, 1e3, 0.01)],
+)
+def test_time_steps_of_stiff_drives_are_those_of_the_implicit_midpoint_rule(kp, kd, h):
+    """It is stable for all gains: forces are those at the mean of both velocities and of both positions."""
+    scene = mass(JointPD(kp, kd, np.zeros(3)), damping=0.5)
+    trajectory = simulate(scene, [1.0, 0, 0], [0.0, 0.3, 0], 20 * h, scheme="time-stepping", dt=h)
+    x, v, drag = 1.0, 0.0, kd + 0.5
+    for k in range(1, 21):
+        before = v
+        v = ((1.0 - 0.5 * h * drag - 0.25 * h * h * kp) * v - h * kp * x) / (
+            1.0 + 0.5 * h * drag + 0.25 * h * h * kp
+        )
+        x += 0.5 * h * (before + v)
+        assert trajectory.q[k, 0] == pytest.approx(x, abs=1e-9)
+        assert trajectory.v[k, 0] == pytest.approx(v, abs=1e-9 * (1.0 + np.sqrt(kp)))
+    assert np.abs(trajectory.energy.residual).max() < 1e-9 * kp
 
 
 def test_effort_that_reaches_its_limit_and_leaves_it_does_so_at_the_exact_time():

@@ -347,10 +347,11 @@ def panda():
     return robot, v
 
 
-def test_drives_and_damping():
+@pytest.mark.parametrize("stiff", [1.0, 300.0])
+def test_drives_and_damping(stiff):
     robot, v = panda()
-    gains = np.array([80.0] * 7 + [50.0] * 2)
-    control = JointPD(gains, 0.1 * gains, robot.q0 + 0.2)
+    gains = stiff * np.array([80.0] * 7 + [50.0] * 2)
+    control = JointPD(gains, 0.1 * gains / np.sqrt(stiff), robot.q0 + 0.2)
     compare(Scene(robot.model, control=control, without=["joint limits"]), robot.q0, v, 0.05)
 
 

@@ -9,8 +9,13 @@ from .._compile.jit import external
 @declared(FLOAT_ROWS, INTEGERS)
 @external
 def factorize(matrix, order):
-    """Replace a matrix (n, n) by its LU factors, fill its row order (n,); return whether it is regular."""
+    """Replace a matrix (n, n) by its LU factors, fill its row order (n,); return whether it is regular.
+
+    A matrix that is not finite is not regular. The row order is always valid.
+    """
     size = len(order)
+    for k in range(size):
+        order[k] = k
     for k in range(size):
         row = k
         for a in range(k + 1, size):

@@ -255,9 +255,9 @@ class StepSlopes:
             predicted += h * by_pushed
         change, expected = found.v_end - v, found.predicted - v
         known = right(0.5 * (v + found.predicted), 0.5 * (by_v + predicted), change)
-        acting = (total @ change - softened * expected - pushes) / h
-        known += softened[:, None] * (predicted - by_v) + total @ by_v
-        known += np.outer(acting + softer * (expected - change), length)
+        acting = (total @ change - 0.5 * h * damping * expected - pushes) / h
+        known += 0.5 * h * damping[:, None] * (predicted - by_v) + total @ by_v
+        known += np.outer(acting + 0.5 * damping * expected - softer * change, length)
         given = rows, (total, softer), (middle, known, length)
         moved = self._solve(taken, False, *given)
         self._refuse_ties(taken, moved, given)

@@ -237,10 +237,10 @@ class TimeStepping(Integrator):
             The rows, matrices and result of the step, and what `close_gaps` returns.
         """
         state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
-        softened, pushed = self._softening(h), state.pushed
+        (softened, damped), pushed = self._softening(h), state.pushed
         self._invert(q, softened)
         system = StepSystem(
-            *(self._mass, self._inverse, softened, self._tree, self._start),
+            *(self._mass, self._inverse, softened, damped, self._tree, self._start),
             *(self._rest.joints, self._collides, self._compliances, self._gravity),
         )
         state.warm_start = np.array(state.warm_start)
@@ -269,15 +269,19 @@ class TimeStepping(Integrator):
     def _check_result(self, t: float, residual: float, found: StepResult) -> None:
         """Raise an error if the velocities are not finite or the contact problem is not solved."""
         if not np.isfinite(found.v_end).all():
-            raise IrregularMotionError(
-                f"scene: the velocities are not finite at t = {t:.6g} s; the control may be unstable, for "
-                "instance with gains that are too high for its period"
-            )
+            raise self._diverged()
         if residual > FAILED:
             raise IrregularMotionError(
                 f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
                 f"impulses violate Coulomb's law by {residual:.2g} of its velocities; another dt may help"
             )
+
+    def _diverged(self) -> IrregularMotionError:
+        """Return the error of velocities or coordinates that overflow."""
+        return IrregularMotionError(
+            f"scene: the velocities are not finite at t = {self.state.t:.6g} s; the control may be unstable, "
+            "for instance with gains that are too high for its period"
+        )
 
     def _set_resting(
         self,
@@ -352,23 +356,27 @@ class TimeStepping(Integrator):
             *(np.empty((every, 3)), np.empty(every + len(limits))),
         )
 
-    def _softening(self, h: float) -> Array:
-        """Return (nv,) what damping and drives add to the diagonal of M in a step of size h [s]."""
+    def _softening(self, h: float) -> tuple[Array, Array]:
+        """Return (nv,) what damping and drives add to the diagonal of M in a step of size h [s].
+
+        The second one is the part of damping.
+        """
         work = self.work
-        added = 0.5 * h * work.damping
-        if self.dynamics.driven:
-            follows = work.drive_side == 0
-            added = added + np.where(
-                follows, 0.5 * h * work.drive_damping + 0.25 * h * h * work.drive_stiffness, 0.0
-            )
-        return added
+        damped = 0.5 * h * work.damping
+        if not self.dynamics.driven:
+            return damped, damped
+        follows = work.drive_side == 0
+        damped = damped + np.where(follows, 0.5 * h * work.drive_damping, 0.0)
+        return damped + np.where(follows, 0.25 * h * h * work.drive_stiffness, 0.0), damped
 
     def _invert(self, q: Array, added: Array) -> None:
         """Compute M + diag(`added`) and its inverse, unless both are unchanged."""
         if self._mass_constant and np.array_equal(added, self._added):
             return
         self._added = added
-        invert_trees(mass_matrix(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
+        upper = mass_matrix(self.model, self.data, q)
+        if not invert_trees(upper, added, self._tree, self._mass, self._inverse):
+            raise self._diverged()
 
     def _dense_step(
         self, t: float, h: float, v: Array, solved: tuple[StepSystem, StepRows, StepResult]

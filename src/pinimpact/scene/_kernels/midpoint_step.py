@@ -176,12 +176,12 @@ def part_to_touch(gap, first, last):
 def free_velocity(h, v, acceleration, system, predicted, out):
     """Fill out (nv,) with the velocity at the end of the step without impulses. (16.1)
 
-    `acceleration` (nv,) is that at the mean of v and `predicted`; the forces of damping and drives are
-    corrected linearly from `predicted` to the result, by `system.softened`.
+    `acceleration` (nv,) is that at the midpoint, where v alone leads, and at the mean of v and `predicted`.
+    The forces of damping are corrected linearly from `predicted` to the result, those of stiffness from v.
     """
-    softened, moved = system.softened, np.empty(len(v))
+    softened, damped, moved = system.softened, system.damped, np.empty(len(v))
     for c in range(len(v)):
-        moved[c] = softened[c] * (h * acceleration[c] - (predicted[c] - v[c]))
+        moved[c] = h * softened[c] * acceleration[c] - damped[c] * (predicted[c] - v[c])
     apply_symmetric(system.inverse, moved, out)  # most entries of `moved` are zero
     for c in range(len(v)):
         out[c] = v[c] + h * acceleration[c] - out[c]

@@ -36,9 +36,10 @@ LESS = 0.1
 def invert_trees(upper, added, tree, mass, inverse):
     """Fill mass (nv, nv) with M + diag(added), from the upper triangle of M, and its inverse, tree by tree.
 
-    tree (nv,) is the number of the tree of each velocity; entries between different trees stay zero.
+    tree (nv,) is the number of the tree of each velocity; entries between different trees stay zero. Returns
+    whether all trees have an inverse; a mass matrix that is not finite has none.
     """
-    nv = len(tree)
+    nv, regular = len(tree), True
     moves = np.empty(nv, dtype=np.int64)
     for k in range(nv):
         size = 0
@@ -54,7 +55,7 @@ def invert_trees(upper, added, tree, mass, inverse):
                 i, j = moves[min(a, b)], moves[max(a, b)]
                 block[a, b] = upper[i, j] + (added[i] if a == b else 0.0)
                 mass[moves[a], moves[b]] = block[a, b]
-        factorize(block, order)
+        regular = factorize(block, order) and regular
         column = np.empty(size)
         for b in range(size):
             for a in range(size):
@@ -62,6 +63,7 @@ def invert_trees(upper, added, tree, mass, inverse):
             solve_factored(block, order, column)
             for a in range(size):
                 inverse[moves[a], moves[b]] = column[a]
+    return regular
 
 
 @inlined

@@ -73,7 +73,7 @@ def dense_motion(work, h, start, v_end, coefficients):
 
 
 @inlined
-def joint_powers(work, h, v, softened, found, dried, powers):
+def joint_powers(work, h, v, system, found, dried, powers):
     """Add the powers, times h, of control and drives, and of joints, to powers (2, 2): at start and end [J].
 
     `dried` (nv,) are the impulses of dry friction; other arguments as in `report_step`.
@@ -81,7 +81,8 @@ def joint_powers(work, h, v, softened, found, dried, powers):
     v_end, predicted = found.v_end, found.predicted
     for c in range(len(v)):
         mean = 0.5 * (v[c] + v_end[c])
-        follows = (softened[c] - 0.5 * h * work.damping[c]) * (v_end[c] - predicted[c])
+        follows = (system.damped[c] - 0.5 * h * work.damping[c]) * (v_end[c] - predicted[c])
+        follows += (system.softened[c] - system.damped[c]) * (v_end[c] - v[c])
         pushed, lost = h * work.control_force[c] - follows, dried[c] - h * work.damping[c] * mean
         for e in range(2):
             speed = v[c] if e == 0 else v_end[c]
@@ -147,7 +148,7 @@ def report_step(work, h, still, start, v, system, rows, found, coefficients, for
     free_modes(work, system.rests)
     scalar_modes(work, still, rows, found, dried)
     dense_motion(work, h, start, found.v_end, coefficients)
-    joint_powers(work, h, v, system.softened, found, dried, powers[:2])
+    joint_powers(work, h, v, system, found, dried, powers[:2])
     rounding = ROUNDING * largest_of(impulse, 0)
     contact_motion(work, h, still, rounding, rows, found, powers[2:], forces)
     for k in range(4):

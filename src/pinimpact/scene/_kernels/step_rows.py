@@ -75,6 +75,7 @@ class StepSystem(NamedTuple):
         mass: (nv, nv) M with the terms of damping and drives.
         inverse: (nv, nv) its inverse.
         softened: (nv,) these terms, ½hD + ¼h²K.
+        damped: (nv,) the part of damping, ½hD.
         tree: (nv,) number of the tree that each velocity belongs to.
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints at rest, including the world; their velocity stays zero.
@@ -86,6 +87,7 @@ class StepSystem(NamedTuple):
     mass: FloatRows
     inverse: FloatRows
     softened: Floats
+    damped: Floats
     tree: Integers
     start: Integers
     rests: Flags
