@@ -1,8 +1,6 @@
 """A study whose workers and main process are killed while it runs.
 
-    python -m tests.interrupted_study FOLDER
-
-runs the study in a folder, or continues it, with two worker processes.
+`python -m tests.interrupted_study FOLDER` runs or resumes the study in a folder with two worker processes.
 """
 
 import os
@@ -22,11 +20,11 @@ from pinimpact.studies import ensembles
 
 SAMPLES = 300
 LONGEST = 120.0
-"""After this time without progress a test fails [s]."""
+"""Time without progress after which a test fails [s]."""
 
 
 class Row:
-    """The row of a run; it takes a while, and leaves the number of its process in a folder."""
+    """Row of a run that takes 20 ms more and records the id of its process as a file in a folder."""
 
     def __init__(self, folder):
         self.folder = str(folder)
@@ -38,7 +36,7 @@ class Row:
 
 
 def study(folder, processes, executor):
-    """Run the study, or continue it."""
+    """Run or resume the study."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "rail")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())

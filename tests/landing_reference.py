@@ -1,7 +1,7 @@
-"""An impact at many contacts by steps of equal length, halved and extrapolated: (14.1), (14.2).
+"""Reference for impacts at several contacts: (14.1), (14.2) by constant steps with Richardson extrapolation.
 
-Loops for numba, written apart from the solver: semi-implicit Euler, friction by projected Gauss–Seidel in the
-forces. Only for η = 1 and 0 < e ≤ 1.
+Independent of the solver: semi-implicit Euler, with friction by projected Gauss–Seidel in the forces. For
+η = 1 and 0 < e ≤ 1.
 """
 
 import numba
@@ -10,7 +10,14 @@ import numpy as np
 
 @numba.njit
 def step_through(w, start, friction, restitution, stiffness, h):
-    """Velocities (3n,) at the contacts after the impact, first-order in h; rows are (x, y, normal)."""
+    """Return the velocities (3n,) at the contacts after the impact, of first order in h.
+
+    Args:
+        w: (3n, 3n) Delassus matrix; rows of a contact are x, y, normal.
+        start: (3n,) velocities before the impact [m/s].
+        friction, restitution, stiffness: (n,) coefficients of the contacts.
+        h: Step size of the clock.
+    """
     n = len(start) // 3
     v, push = start.copy(), np.zeros(3 * n)
     indentation, deepest, most = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -22,15 +29,15 @@ def step_through(w, start, friction, restitution, stiffness, h):
             return v
         strongest = 0.0
         for i in range(n):
-            way, e2 = -h * v[3 * i + 2], restitution[i] ** 2
-            if way > 0.0:
-                # to zero at rate 1, elastically to the deepest so far at rate 1/e², beyond it at rate 1
-                gap = min(way, max(-indentation[i], 0.0))
-                again = min(way - gap, max(deepest[i] - max(indentation[i], 0.0), 0.0) * e2)
-                indentation[i] += gap + again / e2 + (way - gap - again)
+            approach, e2 = -h * v[3 * i + 2], restitution[i] ** 2
+            if approach > 0.0:
+                # closing the gap at rate 1, reloading to the largest indentation at rate 1/e², then at rate 1
+                gap = min(approach, max(-indentation[i], 0.0))
+                again = min(approach - gap, max(deepest[i] - max(indentation[i], 0.0), 0.0) * e2)
+                indentation[i] += gap + again / e2 + (approach - gap - again)
             else:
-                part = min(-way, max(indentation[i], 0.0) * e2)
-                indentation[i] -= part / e2 + (-way - part)
+                unloading = min(-approach, max(indentation[i], 0.0) * e2)
+                indentation[i] -= unloading / e2 + (-approach - unloading)
             deepest[i] = max(deepest[i], indentation[i]) if indentation[i] > 0.0 else 0.0
             push[3 * i + 2] = stiffness[i] * max(indentation[i], 0.0)
             most[i] = friction[i] * push[3 * i + 2]
@@ -62,7 +69,7 @@ def step_through(w, start, friction, restitution, stiffness, h):
 
 
 def landing(w, start, friction, restitution, stiffness, h):
-    """Velocities after it, with the term of first order in h taken off, and an estimate of what is left."""
+    """Return the velocities after the impact, extrapolated to second order in h, and an error estimate."""
     coarse, fine, finest = (
         step_through(w, start, friction, restitution, stiffness, h / k) for k in (1, 2, 4)
     )

@@ -1,10 +1,10 @@
-"""Random impacts of small arms by the million: what must hold of each, and the same answer in a turned world.
+"""Millions of random impacts of small arms, with checks of mechanics and of invariance under rotation.
 
-What is checked of each answer: that there is one; v₃⁺ ≥ 0; P in the friction cone; M(v⁺ − v) = Jᵀ P with M
-and J formed here; the law's energy; no impulse along the axis of parallel joints that stand upright; the same
-joint velocities and impulse, within eight times what roundings of the robot's numbers change, where base and
-plane are turned together. What is in doubt then is held against multiple precision, and so is an impulse
-along such an axis if it leans by a few roundings, which may be felt.
+The checks of each impact are: it has a solution; v₃⁺ ≥ 0; P is in the friction cone; M(v⁺ − v) = Jᵀ P, with M
+and J computed here; energy does not grow, depending on the law; P has no component along horizontal axes of
+parallel joints; v⁺ and P are equal, within eight times the effect of rounding errors of the robot's numbers,
+if base and plane are rotated together. Impacts that fail the last one are compared with multiple precision,
+and so are impulses along axes that differ from horizontal by a few rounding errors.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .random_impacts import turned as rotations
 from .reference.arms import CENTRE, INERTIA, LENGTH, MASS, REACH, Arm
 
 ROWS = 200
-"""Impacts of one base, plane and law."""
+"""Number of impacts with the same base, plane and law."""
 NOISE = 1e-11
-"""Of the sizes that occur, what rounding may leave in a balance formed here."""
+"""Tolerance of the balances for rounding errors, relative to their terms."""
 TRIALS = (2, 40)
-"""How often the sensitivity is measured: for every impact, and for one that would be in doubt without."""
+"""Number of perturbations of each impact, and of one that would be doubtful otherwise."""
 ALONG = np.array([1.0, 0.0, 0.0])
-SIDEWAYS = "sideways out of noise"
+SIDEWAYS = "impulse along axes of joints"
 
 
 @dataclass
@@ -37,10 +37,10 @@ class Group:
     """Impacts of one arm.
 
     Attributes:
-        case: Its base, plane and law; the state and coefficients in it mean nothing.
-        tilt: Angle between the arm's plane and what it is nearly aligned with; 1 for arms weak in two ways.
+        case: Its base, plane and law; state and coefficients are not used.
+        tilt: Deviation of the arm's plane from an alignment [rad]; 1 for arms weak in two directions.
         q, v: (N, n) states.
-        friction, restitution: (N,).
+        friction, restitution: (N,) coefficients.
     """
 
     case: Case
@@ -59,7 +59,7 @@ class Group:
 
 @dataclass
 class Report:
-    """What a run saw."""
+    """Results of a run; `judged` are the comparisons with multiple precision."""
 
     impacts: int = 0
     statuses: Counter = field(default_factory=Counter)
@@ -97,7 +97,7 @@ def kinematics(arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def singular(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return q with the last angles such that det J, for three joints, changes its sign there, if it does."""
+    """Return q (N, 3) with last angles at a zero of det J, for rows with one between −0.9 and 0.6."""
     low, high = (np.concatenate([q[:, :2], np.full((len(q), 1), x)], axis=1) for x in (-0.9, 0.6))
     sign = np.linalg.det(kinematics(arm, low)[0]) > 0
     found = sign != (np.linalg.det(kinematics(arm, high)[0]) > 0)
@@ -109,7 +109,7 @@ def singular(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 
 def draw(rng: np.random.Generator, count: int) -> Group:
-    """Draw impacts that approach, of one arm, as `random_arms.draw` does one by one."""
+    """Draw impacts of one arm with approaching velocities, as `random_arms.draw` does for single ones."""
     if rng.random() < random_arms.WEAK:
         return draw_weak(rng, count)
     kind = str(rng.choice(list(random_arms.KINDS)))
@@ -145,11 +145,11 @@ def draw(rng: np.random.Generator, count: int) -> Group:
 
 
 def draw_weak(rng: np.random.Generator, count: int) -> Group:
-    """Draw impacts of an arm that is weak in two directions at once, as `random_arms.draw_weak` does."""
+    """Draw impacts of an arm that is weak in two directions, as `random_arms.draw_weak` does."""
     n = int(rng.integers(2, 4))
     why, arm = random_arms.weak(rng, n, (*random_arms.SURE, *random_arms.UNSURE))
     q, v = np.full((count, n), arm.q[0]), rng.standard_normal((count, n))
-    q[:, 1:] = random_arms.faint(rng, count, n - 1) / 10.0 ** rng.integers(3)  # also in rounding's reach
+    q[:, 1:] = random_arms.faint(rng, count, n - 1) / 10.0 ** rng.integers(3)  # also below rounding errors
     J, _ = kinematics(arm, q)
     v[np.einsum("i,nij,nj->n", np.array(arm.normal), J, v) > 0] *= -1.0
     e = np.where(rng.random(count) < 0.5, rng.random(count), rng.choice([0.0, 1.0], count))
@@ -174,7 +174,7 @@ def solve(group: Group):
 
 
 def turned(rng: np.random.Generator, group: Group) -> tuple[Group, np.ndarray]:
-    """Return the arm and its plane in a world that is turned at random, and the rotation."""
+    """Return the impacts with arm and plane rotated at random, and the rotation."""
     rotation = pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3))
     arm = group.case.arm
     rpy = pin.rpy.matrixToRpy(rotation @ pin.rpy.rpyToMatrix(*arm.rpy))
@@ -183,7 +183,7 @@ def turned(rng: np.random.Generator, group: Group) -> tuple[Group, np.ndarray]:
 
 
 def perturbed(rng: np.random.Generator, group: Group) -> Group:
-    """Return the impacts after a few roundings of the robots' numbers."""
+    """Return the impacts with perturbations of a few rounding errors of the robot's numbers."""
 
     def noise(*shape):
         return 8 * EPS * rng.uniform(-1, 1, shape)
@@ -196,7 +196,7 @@ def perturbed(rng: np.random.Generator, group: Group) -> Group:
 
 
 def difference(group: Group, one, other, rotation=None) -> np.ndarray:
-    """(N,) the largest change of v⁺ and P over their sizes; infinite where only one has an answer."""
+    """Return the largest change (N,) of v⁺ and P over their scales; infinite if only one has a solution."""
     impulse = other.impulse_world if rotation is None else other.impulse_world @ rotation
     speed = np.abs(group.v).max(axis=1) + np.abs(one.v).max(axis=1)
     size = np.abs(one.impulse_world).max(axis=1) + np.abs(impulse).max(axis=1) + 1e-300
@@ -206,7 +206,7 @@ def difference(group: Group, one, other, rotation=None) -> np.ndarray:
 
 
 def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
-    """Which rows break which law of mechanics."""
+    """Return which impacts violate which law of mechanics."""
     arm, law = group.case.arm, group.case.law
     J, mass = kinematics(arm, group.q)
     normal = np.array(arm.normal) / np.linalg.norm(arm.normal)
@@ -222,8 +222,8 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
     values = np.linalg.eigvalsh(delassus)
     counted = np.where(values > 1e-13 * values[:, 2:], values, np.inf).min(axis=1)
     spread = np.sqrt(values[:, 2] / counted)
-    noise = np.maximum(NOISE, 64 * EPS * spread)  # the directions of W are known to so much
-    # what a large impulse changes is known to rounding of the parts that cancel
+    noise = np.maximum(NOISE, 64 * EPS * spread)  # error of the directions of W
+    # rounding error of the changes by a large impulse, whose parts cancel
     rounding = NOISE * size * np.sqrt(values[:, 2]) * np.sqrt(np.linalg.norm(mass, axis=(1, 2)))
     energy = np.einsum("ni,nij,nj->n", group.v, mass, group.v)
     wrong = {
@@ -235,17 +235,17 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
         & (gained > noise * spread * energy + rounding * np.sqrt(energy)),
     }
     if group.case.kind.startswith("upright") and abs(group.tilt) < 1e-14:  # 0, or a few roundings of the base
-        axis = pin.rpy.rpyToMatrix(*arm.rpy)[:, 2]  # of its joints: nothing moves along it
+        axis = pin.rpy.rpyToMatrix(*arm.rpy)[:, 2]  # of the joints; no motion along it is possible
         whole = np.linalg.norm(J, axis=(1, 2))
         across = np.linalg.norm(J - np.einsum("i,j,njk->nik", normal, normal, J), axis=(1, 2))
-        felt = across > 16 * EPS * whole  # a motion of which the direction is known, to rounding of the whole
-        unsure = np.divide(4 * EPS * whole, across, out=np.zeros_like(whole), where=felt)
+        moves = across > 16 * EPS * whole  # tangential motion larger than rounding errors of J
+        unsure = np.divide(4 * EPS * whole, across, out=np.zeros_like(whole), where=moves)
         wrong[SIDEWAYS] = np.abs(P @ axis) > np.maximum(noise, unsure) * size
     return wrong
 
 
 def check(rng: np.random.Generator, group: Group, report: Report) -> None:
-    """Solve a group of impacts, and enter what was seen."""
+    """Solve and check a group of impacts, and add the results to the report."""
     hits = solve(group)
     report.impacts += len(group.q)
     report.statuses.update(hits.status.tolist())
@@ -259,9 +259,9 @@ def check(rng: np.random.Generator, group: Group, report: Report) -> None:
         sensitive = np.maximum(sensitive, difference(group, hits, solve(perturbed(rng, group))))
     doubtful = gap > ALLOWED * sensitive
     wrong = mechanics(group, hits)
-    if abs(group.tilt) < RESOLVED:  # both answers are right
+    if abs(group.tilt) < RESOLVED:  # both solutions are accepted
         wrong["refused"] &= group.tilt == 0.0
-    if group.tilt != 0.0 and SIDEWAYS in wrong:  # a tilt of a few roundings may be felt
+    if group.tilt != 0.0 and SIDEWAYS in wrong:  # a tilt of a few rounding errors may have an effect
         doubtful |= wrong.pop(SIDEWAYS)
     for what, rows in wrong.items():
         report.violations += [(what, group.one(k)) for k in np.flatnonzero(rows)]

@@ -1,8 +1,8 @@
-"""Arms of one to three joints, drawn at random and held against multiple precision.
+"""Impacts of random arms of one to three joints against multiple precision.
 
-Most are planar, some have axes of any direction. The bases are turned at random or stand within 1e-15 … 1e-3
-of an alignment; some tips move parallel to the plane, and some contact velocities are small by cancellation.
-Some are weak in two directions at once.
+Most arms are planar, others have axes of any direction. Bases have random orientations, or are within
+1e-15 … 1e-3 of an alignment. Some tips move parallel to the plane, and some contact velocities are small by
+cancellation. Some arms are weak in two directions: two eigenvalues of W are small.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from .reference.reference import UnsupportedProblemError, solve_reference
 
 EPS = 2.0**-52
 ALLOWED = 8.0
-"""Disagreement over sensitivity that counts as a violation."""
+"""Ratio of disagreement to sensitivity above which there is a violation."""
 RESOLVED = 1e-12
-"""An angle that the package need not tell from zero; both answers are then right. Where some directions of W
-are weaker than others, the angle is larger by the ratio of the roots of its eigenvalues; see `resolved`."""
+"""Angle that the package need not distinguish from zero [rad], so that both solutions are accepted. It is
+larger by the ratio of the roots of the eigenvalues of W, as in `resolved`."""
 NEARLY = (-6.0, -2.0)
-"""Powers of ten of the angles by which some arms miss a singular posture."""
+"""Range of the exponents of ten of the angles between some arms and a singular posture."""
 FAINT = (-13.0, -3.0)
-"""The same of arms that are weak in two directions at once, and of what makes them weak in the other; in
-rounding's reach, below some 1e-14, the exact numbers say more than doubles can tell."""
+"""The same for both small angles of arms that are weak in two directions; below about 1e-14 they would be
+rounding errors, so the reference would depend on digits that doubles do not have."""
 WEAK = 0.1
-"""The part of the arms drawn that are such."""
+"""Fraction of the arms that are weak in two directions."""
 SCALE = 10.0
-"""What the numbers that the factor is formed from are larger than itself, for arms of three links."""
+"""Ratio of the numbers from which the factor of W is computed to the factor, for arms of three links."""
 ANSWERED = ("SEPARATED", "ENDED_AT_REST", "LOCKED", "NO_IMPACT")
 TRIALS = (4, 60)
-"""How often the sensitivity is measured: for every impact, and for one that would violate without."""
+"""Number of perturbations of each impact, and of one that would be a violation otherwise."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ def _any(rng, arm, tilt):
 
 
 def _upright(rng, arm, tilt):
-    """In a vertical plane, leaning by `tilt`, above a horizontal floor; turned about the vertical or not."""
+    """Return a base whose arm moves within `tilt` of a vertical plane, and the normal of the floor."""
     return (np.pi / 2 + tilt, 0.0, float(rng.choice([0.0, rng.uniform(-3, 3)]))), (0.0, 0.0, 1.0)
 
 
 def _parallel(rng, arm, tilt):
-    """The joints' axis along the plane's normal, but for `tilt`."""
+    """Return a normal that differs from the axis of the joints by `tilt`."""
     normal = _rotation(arm.rpy) @ [np.sin(tilt), 0.0, np.cos(tilt)]
     return arm.rpy, tuple(normal)
 
@@ -76,26 +76,26 @@ KINDS = {"any": _any, "upright": _upright, "parallel": _parallel, "twisted": _tw
 
 
 def twist(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Draw how a link is turned against the one before: anyhow, or by right angles, as robots are."""
+    """Draw the orientation of a link relative to the previous one: any, or by right angles as in robots."""
     right = (np.pi / 2 * rng.choice([-1, 1]), np.pi / 2 * rng.choice([-1, 0, 1]), 0.0)
     return tuple(map(float, rng.uniform(-2, 2, 3) if rng.random() < 0.5 else right))
 
 
 def faint(rng: np.random.Generator, *shape: int):
-    """Draw angles of independent sizes."""
+    """Draw small angles of either sign and independent magnitudes."""
     return rng.choice([-1, 1], shape) * 10.0 ** rng.uniform(*FAINT, shape)
 
 
 SURE, UNSURE = ("floor", "axes"), ("normal", "upright")
-"""Why an arm may be weak in two directions. Where the second is sideways, what it feels there is a product of
-two faint angles, which rounding loses: then its impulse sideways is not held against its exact numbers."""
+"""Reasons why an arm is weak in two directions. In the unsure cases the second direction is tangential, and
+its entry in W is a product of two small angles below rounding errors: its impulse is not compared."""
 
 
 def weak(rng: np.random.Generator, joints: int, reasons: tuple[str, ...]) -> tuple[str, Arm]:
-    """Draw an arm that, nearly stretched out, is weak in two directions; tell why.
+    """Draw a nearly stretched arm that is weak in two directions, and return the reason and the arm.
 
-    It leans by a faint angle from the floor, from the normal, or from standing upright on the floor, or the
-    axes of its joints do from each other.
+    A small angle separates its plane from the floor, from the normal, or from standing upright on the floor,
+    or the axes of its joints from each other.
     """
     why = str(rng.choice(reasons))
     rpy = rng.uniform(-1.5, 1.5, 3) if rng.random() < 0.7 else np.zeros(3)
@@ -115,7 +115,7 @@ def weak(rng: np.random.Generator, joints: int, reasons: tuple[str, ...]) -> tup
 
 
 def draw_weak(rng: np.random.Generator) -> Case:
-    """Draw an impact of an arm that is weak in two directions at once."""
+    """Draw an impact of an arm that is weak in two directions."""
     joints = int(rng.integers(2, 4))
     why, arm = weak(rng, joints, SURE)
     q, v = (arm.q[0], *faint(rng, joints - 1).tolist()), rng.standard_normal(joints)
@@ -127,7 +127,7 @@ def draw_weak(rng: np.random.Generator) -> Case:
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """Draw an impact that approaches."""
+    """Draw an impact with an approaching velocity."""
     if rng.random() < WEAK:
         return draw_weak(rng)
     kind = str(rng.choice(list(KINDS)))
@@ -168,7 +168,7 @@ def solve(case: Case):
 
 
 def perturbed(rng: np.random.Generator, case: Case) -> Case:
-    """The impact after a few roundings of the robot's numbers."""
+    """Return the impact with perturbations of a few rounding errors of the robot's numbers."""
 
     def shaken(x):
         return tuple((np.array(x) + 8 * EPS * rng.uniform(-1, 1, len(x))).tolist())
@@ -184,7 +184,15 @@ def perturbed(rng: np.random.Generator, case: Case) -> Case:
 
 @dataclass
 class Report:
-    """What a run saw: how many impacts, how many the reference does not cover, and what disagrees."""
+    """Results of a run.
+
+    Attributes:
+        worst: Largest ratio of disagreement to sensitivity.
+        violations: Messages and impacts.
+        impacts: Number of impacts.
+        uncovered: Number of impacts that the reference does not support.
+        refused: Number of impacts that raise an error.
+    """
 
     worst: float = 0.0
     violations: list[tuple[str, Case]] = field(default_factory=list)
@@ -194,7 +202,10 @@ class Report:
 
 
 def resolved(case: Case) -> float:
-    """Return the angle that a factor of W in double precision resolves: 64 ε times its spread and scale."""
+    """Return the smallest angle that a factor of W in double precision resolves.
+
+    It is 64 ε times `SCALE` times the ratio of the roots of the largest and smallest nonzero eigenvalues.
+    """
     with mp.workdps(60):
         values = mp.eigsy(mp.matrix(case.arm.contact_problem()[0]), eigvals_only=True)
         roots = [float(mp.sqrt(abs(x))) for x in values]
@@ -202,7 +213,7 @@ def resolved(case: Case) -> float:
 
 
 def check(rng: np.random.Generator, case: Case, report: Report) -> None:
-    """Hold one impact against the reference, and enter what was seen."""
+    """Compare an impact with the reference, and add the result to the report."""
     report.impacts += 1
     found = {}
     try:
@@ -223,10 +234,10 @@ def check(rng: np.random.Generator, case: Case, report: Report) -> None:
     ]
     try:
         hit = solve(case)
-    except PinimpactError as error:
+    except PinimpactError as raised:
         report.refused += 1
         if len(answers) == len(found):
-            report.violations.append((f"refused: {error}", case))
+            report.violations.append((f"refused: {raised}", case))
         return
     scale = hit.problem.velocity_scale
     here = np.concatenate([hit.solution.velocity, hit.solution.impulse])
@@ -236,10 +247,10 @@ def check(rng: np.random.Generator, case: Case, report: Report) -> None:
         change = np.abs(here - other)
         return max(change[:3].max() / scale, change[3:].max() / size)
 
-    off = min((max(gap(other) - slack, 0.0) for other, slack in answers), default=np.inf)
+    error = min((max(gap(other) - slack, 0.0) for other, slack in answers), default=np.inf)
     sensitivity, trials = 8 * EPS, 0
     for most in TRIALS:
-        while trials < most and off > ALLOWED * sensitivity:
+        while trials < most and error > ALLOWED * sensitivity:
             trials += 1
             try:
                 other = solve(perturbed(rng, case)).solution
@@ -247,13 +258,13 @@ def check(rng: np.random.Generator, case: Case, report: Report) -> None:
                 sensitivity = np.inf
                 break
             sensitivity = max(sensitivity, gap(np.concatenate([other.velocity, other.impulse])))
-    # of an arm that is weak in two directions rounding may decide; then it is told
+    # arms that are weak in two directions may depend on rounding errors, if flagged
     flagged = case.kind.startswith("weak") and Flag.NEAR_JUMP in hit.solution.flags
     if not flagged:
-        report.worst = max(report.worst, off / sensitivity)
-    if off > ALLOWED * sensitivity and not flagged:
-        told = [(x.status, x.flags) for x, _ in found.values()]
-        what = f"off by {off:.2g}, sensitivity {sensitivity:.2g}; {told} {hit.solution.flags!r}"
+        report.worst = max(report.worst, error / sensitivity)
+    if error > ALLOWED * sensitivity and not flagged:
+        expected = [(x.status, x.flags) for x, _ in found.values()]
+        what = f"error {error:.2g}, sensitivity {sensitivity:.2g}; {expected} {hit.solution.flags!r}"
         report.violations.append((what, case))
 
 

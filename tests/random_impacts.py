@@ -1,10 +1,13 @@
-"""Random contact-space problems drawn to hit the solver's edges, and checks of what must hold of each answer.
+"""Random contact-space problems near boundaries of the solver's regimes, and checks of their solutions.
 
-What is checked of each answer: that it is finite; v₃⁺ ≥ 0; P in the friction cone; v⁺ = v⁻ + W P; friction
-takes work; the works add up to the change of kinetic energy, which does not grow under the energetic law and
-for e = 0; the restitution law's own sum; the same bits after mirroring, swapping the tangent axes, and
-scaling by powers of two; the same answer, within what roundings of the input change, after turning the axes
-and scaling by other numbers.
+The checks of each solution are:
+
+- it is finite; v₃⁺ ≥ 0; P is in the friction cone; v⁺ = v⁻ + W P;
+- friction dissipates energy; the sum of all work is the change of kinetic energy, which is not positive for
+  the energetic law and for e = 0; the restitution law is satisfied;
+- it is identical in all bits after mirroring, swapping the tangent axes, and scaling by powers of two;
+- it is equal after rotating the axes and scaling by other numbers, within the effect of rounding errors of
+  the input.
 """
 
 from __future__ import annotations
@@ -21,15 +24,15 @@ from pinimpact import LAWS, Flag, Status, solve_impacts
 Array = NDArray[np.float64]
 EPS = 2.0**-52
 ROUNDINGS = 8.0
-"""Size of the changes, in units of EPS, by which the sensitivity is measured."""
+"""Size of the perturbations that measure the sensitivity, in units of EPS."""
 TRIALS = (3, 300)
-"""How often it is measured: for every problem, and for one that would violate without."""
+"""Number of perturbations of each problem, and of one that would be a violation otherwise."""
 ALLOWED = 8.0
-"""Disagreement over sensitivity that counts as a violation."""
+"""Ratio of disagreement to sensitivity above which there is a violation."""
 
 
 class Problems(NamedTuple):
-    """N problems: W (N, 3, 3), v (N, 3), μ (N,), e (N,), and the scale of v (N,), 0 where it is not told."""
+    """N problems: W (N, 3, 3), v (N, 3), μ (N,), e (N,), and the scale of v (N,), 0 where it is not given."""
 
     delassus: Array
     velocity: Array
@@ -45,7 +48,7 @@ class Problems(NamedTuple):
 
 
 def power(rng, n, low, high) -> Array:
-    """Ten to uniform powers."""
+    """Draw powers of ten with uniform exponents."""
     return 10.0 ** rng.uniform(low, high, n)
 
 
@@ -70,12 +73,12 @@ def approach(rng, n, slip=1.0, normal=1.0) -> Array:
 
 
 def critical(W: Array) -> Array:
-    """The stick threshold ‖A⁻¹b‖."""
+    """Return the friction ‖A⁻¹b‖ above which contacts stick."""
     return np.linalg.norm(np.linalg.solve(W[:, :2, :2], W[:, :2, 2:]), axis=(1, 2))
 
 
 def turned(angle: Array) -> Array:
-    """(N, 3, 3) rotations of the tangent axes."""
+    """Return rotations (N, 3, 3) of the tangent axes."""
     R = np.zeros((len(angle), 3, 3))
     R[:, 0, 0] = R[:, 1, 1] = np.cos(angle)
     R[:, 1, 0] = np.sin(angle)
@@ -120,7 +123,7 @@ def exactly_critical(rng, n):
 
 
 def invariant(rng, n):
-    """Slip on an invariant direction or a hair off, stable and unstable; exactly in half of them."""
+    """Draw slip on or near stable and unstable invariant directions; in half of them they are exact axes."""
     W, mu = gram(rng, n, 4), power(rng, n, -2, 0.5)
     plane = rng.random(n) < 0.5
     W[plane, 0, 1] = W[plane, 1, 0] = W[plane, 1, 2] = W[plane, 2, 1] = 0.0
@@ -132,9 +135,9 @@ def invariant(rng, n):
         g = W[:, 1, 2] * co - W[:, 0, 2] * si - mu * lean
         dg = -W[:, 1, 2] * si - W[:, 0, 2] * co - mu * slope
         angle = np.where(plane, angle, angle - np.clip(g / dg, -0.5, 0.5))
-    off = sign(rng, n) * power(rng, n, -30, -1) * (rng.random(n) < 0.7)
+    deviation = sign(rng, n) * power(rng, n, -30, -1) * (rng.random(n) < 0.7)
     co, si = np.cos(angle), np.where(plane, 0.0, np.sin(angle))
-    direction = np.stack([co - off * si, si + off * co], axis=1)
+    direction = np.stack([co - deviation * si, si + deviation * co], axis=1)
     v = approach(rng, n, 0.0)
     v[:, :2] = direction * power(rng, n, -2, 1)[:, None]
     return W, v, mu
@@ -146,7 +149,10 @@ def tiny_slip(rng, n):
 
 
 def jam(rng, n):
-    """Slip nearly along b, and enough friction to drive the surface in; some without any approach."""
+    """Draw slip nearly along b with so much friction that the normal acceleration is negative.
+
+    Some of them have v₃ = 0.
+    """
     W = gram(rng, n, int(rng.choice([3, 4])))
     b = W[:, :2, 2]
     angle = np.arctan2(b[:, 1], b[:, 0]) + rng.uniform(-1, 1, n)
@@ -164,7 +170,7 @@ def slow_approach(rng, n):
 
 
 def second_compression(rng, n):
-    """Around a family in which slip turns into jam after the first compression, up to its edge."""
+    """Draw impacts with or nearly with a second compression, as the normal acceleration becomes negative."""
     W = np.tile([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], (n, 1, 1))
     v = np.tile([0.5, 12, 0], (n, 1))
     spread = np.where(rng.random(n) < 0.3, 0.0, 0.1)
@@ -181,7 +187,7 @@ def second_compression(rng, n):
 
 
 def rank_exact(rng, n, rank, inside=0.9):
-    """XXᵀ of integers: singular in exact arithmetic; now and then with a velocity that it cannot produce."""
+    """Draw W = XXᵀ of integers, singular in exact arithmetic; some v are not in the range of W."""
     X = rng.integers(-5, 6, (n, 3, rank)).astype(float)
     v = np.einsum("nij,nj->ni", X, rng.integers(-64, 65, (n, rank)) / 32)
     v[v[:, 2] > 0] *= -1
@@ -194,7 +200,7 @@ def rank_exact(rng, n, rank, inside=0.9):
 
 
 def rank_rounded(rng, n, rank):
-    """XXᵀ and Xw as doubles form them."""
+    """Draw W = XXᵀ and v = Xw, with their rounding errors."""
     X = rng.standard_normal((n, 3, rank))
     X *= power(rng, (n, 3), -1, 0)[:, :, None]
     v = np.einsum("nij,nj->ni", X, rng.standard_normal((n, rank)))
@@ -203,7 +209,7 @@ def rank_rounded(rng, n, rank):
 
 
 def made_by_w(rng, n, rank):
-    """W = XXᵀ and v = W r as matrix products round them, v smaller than its terms by cancellation."""
+    """Draw W = XXᵀ and v = W r with their rounding errors; v is smaller than its terms by cancellation."""
     X = rng.standard_normal((n, 3, rank))
     W = symmetric(X @ X.transpose(0, 2, 1))
     r = rng.standard_normal((n, 3, 1))
@@ -215,7 +221,7 @@ def made_by_w(rng, n, rank):
 
 
 def leaning(rng, n):
-    """An arm in a plane through the normal, but for 1e-15 … 1e-3, or nearly along the floor; some turned."""
+    """Draw planar arms within angles of 1e-15 … 1e-3 of the normal or of the floor; some in rotated axes."""
     tilt = sign(rng, n) * power(rng, n, -15, -3) * (rng.random(n) < 0.9)
     T = turned(np.where(rng.random(n) < 0.5, rng.uniform(0, 7, n), 0.0))
     plane = np.zeros((n, 3, 2))
@@ -230,7 +236,7 @@ def leaning(rng, n):
 
 
 def turned_in_space(rng, n):
-    """A mechanism of one or two degrees of freedom, or a regular one, whose base is turned by any angles."""
+    """Draw mechanisms of one to three degrees of freedom in randomly rotated axes."""
     Q = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0]
     X = rng.standard_normal((n, 3, 3)) * (np.arange(3) < rng.integers(1, 4, (n, 1)))[:, None, :]
     X[rng.random(n) < 0.5, 1] = 0.0
@@ -241,7 +247,7 @@ def turned_in_space(rng, n):
 
 
 def nearly_singular(rng, n):
-    """One or two eigenvalues about where they stop to count."""
+    """Draw W with one or two eigenvalues near the tolerance of its rank."""
     Q = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0]
     small = power(rng, n, -18, -12)
     values = np.stack([np.ones(n), np.where(rng.random(n) < 0.7, power(rng, n, -2, 0), small), small], axis=1)
@@ -256,7 +262,7 @@ def ill_conditioned(rng, n):
 
 
 def planar(rng, n):
-    """A mechanism that moves in a plane; the surface of some moves across it; some in turned axes."""
+    """Draw planar mechanisms, some with a surface that moves across their plane, some in rotated axes."""
     W, v = gram(rng, n, 3), approach(rng, n, power(rng, n, -3, 1))
     W[:, 1, :] = W[:, :, 1] = 0.0
     v[rng.random(n) < 0.7, 1] = 0.0
@@ -273,7 +279,7 @@ def frictionless(rng, n):
 
 
 def coincident(rng, n):
-    """Slip that stops exactly as compression or the impact ends, and other meetings of small integers."""
+    """Draw small integers, for which events coincide, such as the end of slip with that of compression."""
     X = rng.integers(-2, 3, (n, 3, 3)).astype(float)
     W = X @ X.transpose(0, 2, 1)
     v = rng.integers(-4, 5, (n, 3)) / 2.0
@@ -289,13 +295,13 @@ def coincident(rng, n):
 
 
 def scaled(rng, n):
-    """Masses from 1e-9 to 1e9 kg, speeds from 1e-12 to 1e6 m/s."""
+    """Draw masses from 1e-9 to 1e9 kg and speeds from 1e-12 to 1e6 m/s."""
     W, v, mu = general(rng, n)
     return W * power(rng, n, -9, 9)[:, None, None], v * power(rng, n, -12, 6)[:, None], mu
 
 
 def isotropic(rng, n):
-    """A a multiple of the identity; in some b = 0 as well, where slip never turns."""
+    """Draw W with A a multiple of the identity; in some of them b = 0, so slip is straight."""
     W, v = gram(rng, n), approach(rng, n, power(rng, n, -3, 1))
     W[:, 0, 1] = W[:, 1, 0] = 0.0
     W[:, 1, 1] = W[:, 0, 0] = W[:, 0, 0] + W[:, 1, 1]
@@ -353,7 +359,7 @@ def draw(rng: np.random.Generator, category: str, count: int) -> Problems:
 
 
 class Answers(NamedTuple):
-    """What `solve_impacts` says of N problems."""
+    """Results of `solve_impacts` for N problems."""
 
     velocity: Array
     impulse: Array
@@ -369,13 +375,13 @@ def solve(p: Problems, law: str) -> Answers:
 
 
 def sizes(p: Problems, s: Answers) -> tuple[Array, Array]:
-    """The sizes of the velocities and impulses that occur in each problem."""
+    """Return the scales of velocities and impulses (N,) of each problem."""
     P = np.abs(s.impulse).max(axis=1)
     return np.abs(p.velocity).max(axis=1) + np.abs(p.delassus).max(axis=(1, 2)) * P, P
 
 
 def difference(p: Problems, a: Answers, velocity: Array, impulse: Array, status) -> Array:
-    """The largest change of v⁺ and P over their sizes; infinite where only one has an answer."""
+    """Return the largest change (N,) of v⁺ and P over their scales; infinite if only one has a solution."""
     speed, size = sizes(p, a)
     tiny = np.finfo(float).tiny
     with np.errstate(over="ignore"):
@@ -386,7 +392,10 @@ def difference(p: Problems, a: Answers, velocity: Array, impulse: Array, status)
 
 
 def perturbed(rng: np.random.Generator, p: Problems) -> Problems:
-    """The problem after a few roundings: W → TWTᵀ and v → Tv with T close to one, rounded relative to ‖W‖."""
+    """Return the problems with perturbations of a few rounding errors.
+
+    W → TWTᵀ and v → Tv with T near the identity, then W is perturbed relative to ‖W‖.
+    """
     n = len(p.friction)
 
     def noise(*shape: int) -> Array:
@@ -394,13 +403,13 @@ def perturbed(rng: np.random.Generator, p: Problems) -> Problems:
 
     T = np.eye(3) + noise(3, 3) * [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
     W, v = mapped(T, p.delassus, p.velocity)
-    # as turning the axes does; a singular W must not be taken for another
+    # as a rotation of the axes perturbs it, so that the rank of W does not change
     W = W + symmetric(noise(3, 3)) / 4 * np.abs(W).max(axis=(1, 2), keepdims=True)
     return Problems(W, v, p.friction * (1 + noise()), np.minimum(p.restitution * (1 + noise()), 1.0), p.scale)
 
 
 def sensitivity(rng: np.random.Generator, p: Problems, law: str, answers: Answers, trials: int) -> Array:
-    """What roundings of the input change, at least one of the answer's own; measured."""
+    """Return the largest change (N,) due to perturbations of the input, at least a rounding error."""
     largest = np.full(len(p.friction), ROUNDINGS * EPS)
     for _ in range(trials):
         s = solve(perturbed(rng, p), law)
@@ -420,14 +429,14 @@ def bits(a: Answers) -> Array:
 
 
 def same_bits(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> dict[str, NDArray[np.bool_]]:
-    """Whether maps that cost no rounding change no bit."""
+    """Return which results change in any bit under maps without rounding errors, by map."""
     wrong = {}
     for name, T in EXACT_MAPS.items():
         s = solve(p._replace(delassus=T @ p.delassus @ T.T, velocity=p.velocity @ T.T), law)
         s = s._replace(velocity=s.velocity @ T, impulse=s.impulse @ T)
         wrong[name] = ~np.equal(bits(s), bits(a)).all(axis=1) & (a.status <= Status.LOCKED)
         wrong[name] |= s.status != a.status
-    # up, never down: numbers that underflow would be rounded
+    # only to larger numbers, since those that underflow are rounded
     m, u = 2.0 ** rng.integers(0, 60, (2, len(p.friction)))
     scaled = p._replace(
         delassus=p.delassus / m[:, None, None], velocity=p.velocity * u[:, None], scale=p.scale * u
@@ -443,18 +452,18 @@ def same_bits(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> di
 
 
 def decided_by_rounding(*answers: Answers) -> NDArray[np.bool_]:
-    """Whether a singular W says that rounding decides what kind of mechanism it is."""
-    said = np.zeros(len(answers[0].flags), dtype=bool)
+    """Return which solutions of singular W are flagged as depending on rounding errors."""
+    flagged = np.zeros(len(answers[0].flags), dtype=bool)
     for a in answers:
         singular = (a.flags & Flag.SINGULAR_DELASSUS != 0) | (a.status == Status.NO_IMPACT)
-        said |= singular & (a.flags & Flag.NEAR_JUMP != 0)
-    return said
+        flagged |= singular & (a.flags & Flag.NEAR_JUMP != 0)
+    return flagged
 
 
-def seen_otherwise(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> Array:
-    """The disagreement after turning the axes, and after changing units by factors that round.
+def changes_by_axes_and_units(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> Array:
+    """Return the changes (N,) after a rotation of the axes and a change of units, both with rounding errors.
 
-    Where rounding decides, and the answer says so, there is none.
+    They are zero for solutions that are flagged as depending on rounding errors.
     """
     n = len(p.friction)
     T = turned(rng.uniform(0, 2 * np.pi, n))
@@ -478,7 +487,7 @@ def seen_otherwise(rng: np.random.Generator, p: Problems, law: str, a: Answers) 
 
 
 def made_zero(p: Problems, flags) -> Array:
-    """The parts of v, over its size, that may be taken as zero since a singular W cannot have made them."""
+    """Return the size (N,) of parts of v, relative to v, that are taken as zero if outside the range of W."""
     values = np.sort(np.abs(np.linalg.eigvalsh(p.delassus)), axis=1)
     least = np.where(values[:, 0] > 32 * EPS * values[:, 2], values[:, 0], values[:, 1])
     amplified = 64 * EPS * values[:, 2] / np.maximum(least, EPS * np.maximum(values[:, 2], 1e-300))
@@ -488,7 +497,7 @@ def made_zero(p: Problems, flags) -> Array:
 
 
 def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
-    """Which rows break which law of mechanics."""
+    """Return which solutions violate which law of mechanics."""
     s = solve_impacts(p.delassus, p.velocity, p.friction, p.restitution, law, p.scale)
     W, v0, mu, e, _ = p
     v, P, pc, status = s.velocity, s.impulse, s.compression_impulse, s.status
@@ -497,25 +506,25 @@ def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
     wrong["refused"] = ~ok & (np.linalg.eigvalsh(W)[:, 0] > 1e-13 * np.abs(W).max(axis=(1, 2)))
     wrong["refused"] |= ~ok & (status != Status.UNSTOPPABLE) & (status != Status.LAW_UNREACHABLE)
     wrong["not finite"] = ok != np.isfinite(np.column_stack([v, P, pc])).all(axis=1)
-    # from here on in units of each problem, so that nothing under- or overflows
+    # in units of each problem, so that nothing underflows or overflows
     w, u = np.abs(W).max(axis=(1, 2)), np.abs(v0).max(axis=1)
     w, u = np.where(w > 0, w, 1.0), np.where(u > 0, u, 1.0)
     W, v0, v = W / w[:, None, None], v0 / u[:, None], v / u[:, None]
     P, pc = P / u[:, None] * w[:, None], pc / u * w
-    works = [x / u / u * w for x in (s.work.compression, s.work.restitution, s.work.friction)]
-    wc, wr, wf = works
+    work = [x / u / u * w for x in (s.work.compression, s.work.restitution, s.work.friction)]
+    wc, wr, wf = work
     size = np.abs(P).max(axis=1)
     speed = 1.0 + size
     magnitude = np.abs(wc) + np.abs(wr) + np.abs(wf)
     gained = np.sum(P * (v0 + v), axis=1) / 2
     projected = made_zero(p, s.flags)
-    # what is left of v₃ by rounding, where nothing moves along the normal, is no approach
+    # if no motion along the normal is possible, a negative v₃ is a rounding error
     wrong["v3 < 0"] = v[:, 2] < np.where(status == Status.NO_IMPACT, -projected, 0.0)
     wrong["outside the cone"] = np.hypot(P[:, 0], P[:, 1]) > mu * P[:, 2] * (1 + 1e-13)
     imbalance = np.abs(v - v0 - np.einsum("nij,nj->ni", W, P)).max(axis=1)
     wrong["momentum"] = imbalance > (1e-11 + projected) * speed
     wrong["friction gives work"] = wf > 0
-    wrong["normal works' signs"] = (wc > 1e-12 * magnitude) | (wr < -1e-12 * magnitude)
+    wrong["signs of normal work"] = (wc > 1e-12 * magnitude) | (wr < -1e-12 * magnitude)
     wrong["ledger"] = np.abs(wc + wr + wf - gained) > (1e-11 + projected) * (magnitude + speed * size)
     passive = (law == "energetic") | (e == 0)
     wrong["energy grows"] = passive & (wc + wr + wf > 1e-12 * magnitude)
@@ -537,7 +546,7 @@ def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
 
 @dataclass
 class Tally:
-    """What the run saw in one category."""
+    """Counts and largest disagreement of one category."""
 
     problems: int = 0
     refused: int = 0
@@ -548,7 +557,7 @@ class Tally:
 
 @dataclass
 class Report:
-    """The tallies by category, and every violation as (what, category, law, problem)."""
+    """Tallies by category, violations (what, category, law, problem), and the problem of most iterations."""
 
     tallies: dict[str, Tally] = field(default_factory=dict)
     violations: list[tuple[str, str, str, Problems]] = field(default_factory=list)
@@ -572,21 +581,21 @@ class Report:
 
 
 def check(rng: np.random.Generator, category: str, law: str, count: int, report: Report) -> None:
-    """Draw problems of a category, solve them, and enter what was seen into the report."""
+    """Draw problems of a category, solve and check them, and add the results to the report."""
     p = draw(rng, category, count)
     a = solve(p, law)
     wrong = mechanics(p, law) | same_bits(rng, p, law, a)
 
-    gap = np.maximum(seen_otherwise(rng, p, law, a) - made_zero(p, a.flags), 0.0)
+    gap = np.maximum(changes_by_axes_and_units(rng, p, law, a) - made_zero(p, a.flags), 0.0)
     sensitive = sensitivity(rng, p, law, a, TRIALS[0])
     with np.errstate(invalid="ignore"):
         ratio = np.where(np.isinf(sensitive), 0.0, gap / sensitive)
-    for k in np.flatnonzero(ratio > 2.0):  # measured too coarsely, or a violation
+    for k in np.flatnonzero(ratio > 2.0):  # a violation, unless more perturbations show a larger sensitivity
         one = p[np.full(TRIALS[1], k)]
         same = Answers(*(x[np.full(TRIALS[1], k)] for x in a))
         most = sensitivity(rng, one, law, same, 1).max()
         ratio[k] = 0.0 if np.isinf(most) else gap[k] / max(most, sensitive[k])
-    wrong["seen otherwise"] = ratio > ALLOWED
+    wrong["other axes or units"] = ratio > ALLOWED
 
     tally = report.tallies.setdefault(category, Tally())
     tally.problems += count
@@ -603,7 +612,7 @@ def check(rng: np.random.Generator, category: str, law: str, count: int, report:
 
 
 def run(seed: int, count: int, chunk: int = 5000) -> Report:
-    """Check `count` problems, spread over the categories and laws, in chunks that depend on the seed only."""
+    """Check `count` problems of all categories and laws; the problems depend on `seed` and `chunk` only."""
     report = Report()
     kinds = [(category, law) for category in CATEGORIES for law in LAWS]
     shares = [count // len(kinds) + (k < count % len(kinds)) for k in range(len(kinds))]

@@ -1,4 +1,4 @@
-"""Robots that other draws lack, and random trees of joints of every kind, dropped onto planes."""
+"""Random scenes: robots and random trees of all kinds of joints, dropped onto planes."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ SOLES = {
     "g1": (("left_ankle_roll_link", "right_ankle_roll_link"), (0.12, -0.05), 0.03, -0.03),
     "icub": (("l_sole", "r_sole"), (0.1, -0.05), 0.03, 0.0),
 }
-"""Frames of the feet, x of toe and heel, half the width, and height of the corners [m]."""
+"""Frames of the feet; x of toe and heel, half the width, and z of the corners of the soles [m]."""
 TIPS = {
     "ur10": ("tool0", "wrist_1_link"),
     "go2": ("FL_foot", "FR_foot", "RL_foot", "RR_foot"),
     "pr2": ("l_gripper_tool_frame", "r_gripper_tool_frame"),
 }
 BODIES = 9
-"""Bodies of a random tree, at most."""
+"""Bound of the number of bodies of a random tree, exclusive."""
 
 
 @cache
 def _robot(name: str) -> tuple[pin.Model, np.ndarray, tuple[str, ...]]:
-    """Return a robot, a configuration to start about, and the frames that may touch."""
+    """Return the model of a robot, a reference configuration, and the names of contact frames."""
     robot = load_robot(name)
     model, tips = robot.model, TIPS.get(name, ())
     if name in SOLES:
@@ -64,7 +64,7 @@ def tree(rng: np.random.Generator) -> tuple[pin.Model, np.ndarray, tuple[str, ..
         first = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
         model.appendBodyToJoint(first, pin.Inertia.FromBox(3.0, 0.3, 0.2, 0.1), pin.SE3.Identity())
     count = int(rng.integers(1, BODIES))
-    branch = [first]  # Pinocchio needs the joints depth first
+    branch = [first]  # Pinocchio requires depth-first order of the joints
     for k in range(count):
         if rng.random() < 0.3:
             del branch[int(rng.integers(1, len(branch) + 1)) :]
@@ -83,7 +83,7 @@ def tree(rng: np.random.Generator) -> tuple[pin.Model, np.ndarray, tuple[str, ..
 
 
 def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
-    """Return a name, a scene, a state above its plane, and a tolerance."""
+    """Return a name, a scene, configuration and velocity above its plane, and a tolerance."""
     rng = np.random.default_rng(seed)
     name = str(rng.choice([*TIPS, *SOLES, "tree"], p=[0.15, 0.1, 0.05, 0.05, 0.05, 0.6]))
     model, q0, tips = tree(rng) if name == "tree" else _robot(name)
@@ -92,7 +92,7 @@ def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     bounded = (np.abs(lower) < 1e3) & (np.abs(upper) < 1e3) & (upper > lower)
     q[bounded] = np.clip(q[bounded], lower[bounded] + 1e-3, upper[bounded] - 1e-3)
-    q = pin.normalize(model, q)  # a quaternion has bounds too
+    q = pin.normalize(model, q)  # bounds also apply to components of quaternions
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     normal = np.array([0.0, 0.0, 1.0])

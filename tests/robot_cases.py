@@ -1,4 +1,4 @@
-"""What the robot-level tests share: robots with a contact frame, random states, physics by other means."""
+"""Robots with contact frames, random states and contacts, and independent mass matrices and energies."""
 
 import functools
 
@@ -25,7 +25,7 @@ def _loaded(name):
 
 
 def load(name):
-    """A model of one's own, with new data."""
+    """Return a copy of the model of a robot, and its data."""
     model = _loaded(name).model.copy()
     return model, model.createData()
 
@@ -43,7 +43,7 @@ def two_arms() -> tuple[pin.Model, pin.Data]:
 
 
 def random_state(model, rng):
-    """Any configuration near the neutral one, any velocity."""
+    """Return a random configuration around the neutral one, and a random velocity."""
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
     return q, rng.normal(size=model.nv)
 
@@ -73,7 +73,7 @@ def random_contact(frame, rng, plane=None, **changes):
 
 
 def approaching(model, data, q, v, contact):
-    """v, turned around or made faster until the contact approaches."""
+    """Return a multiple of v, reversed or scaled up, for which the contact approaches."""
     matrices = pinimpact.contact_matrices(model, data, q, contact)
     for factor in (1, -1, 10, -10, 1000, -1000):
         if matrices.velocity(factor * v)[2] < 0.0:
@@ -82,7 +82,7 @@ def approaching(model, data, q, v, contact):
 
 
 def mass_by_rnea(model, q):
-    """M column by column from inverse dynamics, which takes another way than crba."""
+    """Return M, computed by columns from inverse dynamics, independently of crba."""
     data = model.createData()
     at_rest = pin.rnea(model, data, q, np.zeros(model.nv), np.zeros(model.nv)).copy()
     columns = [
@@ -93,7 +93,7 @@ def mass_by_rnea(model, q):
 
 
 def kinetic_energy(model, q, v):
-    """½ v·(rnea(q, 0, v) − rnea(q, 0, 0)): Pinocchio's energy without the matrix M, rotors included."""
+    """Return ½ v·(rnea(q, 0, v) − rnea(q, 0, 0)), the kinetic energy with rotors but without the matrix M."""
     data = model.createData()
     zero = np.zeros(model.nv)
     momentum = pin.rnea(model, data, q, zero, v).copy() - pin.rnea(model, data, q, zero, zero)
@@ -118,9 +118,9 @@ def gripper(leader: str, inertial: str, more: str = "") -> str:
     """Return the URDF of a hand whose right finger mimics another joint.
 
     Args:
-        leader: The joint that it mimics.
-        inertial: The inertia of each link.
-        more: Further links and joints, in which {limit} and {inertial} stand for those of the others.
+        leader: The mimicked joint.
+        inertial: Inertial element of each link.
+        more: Further links and joints, with placeholders {limit} and {inertial}.
     """
     limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
     return GRIPPER.format(leader=leader, more=more).format(limit=limit, inertial=inertial)

@@ -1,4 +1,4 @@
-"""A mass on a rough track under F(t) = A sin(ωt + φ) + c: phases in closed form, their ends by bisection."""
+"""Mass with dry friction under F(t) = A sin(ωt + φ) + c: closed forms between events, which are bracketed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 
 class Swing:
-    """The force, its impulse and that one's integral."""
+    """The force F(t) and its integrals."""
 
     def __init__(self, amplitude, pace, phase, mean):
         self.A, self.w, self.phi, self.c = amplitude, pace, phase, mean
@@ -20,17 +20,17 @@ class Swing:
         lift = math.cos(self.w * a + self.phi) - math.cos(self.w * b + self.phi)
         return self.A / self.w * lift + self.c * (b - a)
 
-    def way(self, a, b):
-        """∫ impulse(a, s) ds from a to b."""
+    def path(self, a, b):
+        """Return ∫ impulse(a, s) ds from a to b, the path of a unit mass."""
         swing = math.sin(self.w * a + self.phi) - math.sin(self.w * b + self.phi)
         swing = self.A / self.w**2 * swing + self.A / self.w * math.cos(self.w * a + self.phi) * (b - a)
         return swing + 0.5 * self.c * (b - a) ** 2
 
 
 def stick_slip(load, limit, duration, x=0.0, v=0.0, mass=1.0):
-    """Return position and velocity at the end, and how often slip began.
+    """Return the final position and velocity, and the number of starts of slip.
 
-    Ends of phases are looked for on a grid of a thousandth of the period.
+    Events are bracketed on a grid of a thousandth of the period.
     """
     grid = 2.0 * math.pi / load.w / 1000.0
     t, slips = 0.0, 0
@@ -62,9 +62,9 @@ def stick_slip(load, limit, duration, x=0.0, v=0.0, mass=1.0):
             a = b - grid if b - grid > start else start + 1e-6 * grid
             t = brentq(speed, a, b, xtol=1e-15) if speed(a) > 0.0 else a
         t = min(t, duration)
-        x += first * (t - start) + (load.way(start, t) - 0.5 * sign * limit * (t - start) ** 2) / mass
+        x += first * (t - start) + (load.path(start, t) - 0.5 * sign * limit * (t - start) ** 2) / mass
         v = sign * speed(t) if t >= duration else 0.0
-        if t < duration and abs(load.force(t)) >= limit:  # it turns round without a rest
+        if t < duration and abs(load.force(t)) >= limit:  # slip reverses without sticking
             v = math.copysign(1e-300, load.force(t))
             slips += 1
     return x, v, slips

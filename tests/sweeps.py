@@ -1,4 +1,4 @@
-"""Contact-space problems along lines that cross the boundaries of regimes."""
+"""Families of contact-space problems, with one parameter, that cross boundaries of regimes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ THRESHOLD = float(np.linalg.norm(np.linalg.solve(W[:2, :2], W[:2, 2])))
 
 @dataclass(frozen=True)
 class Sweep:
-    """A line through a regime boundary.
+    """Problems as a function of a parameter x.
 
     Attributes:
-        label: What x is.
-        start, end: Its range.
-        problem: The problem at x.
-        jumps: How many jumps the impact map has there.
-        factor: F (3, 2) and r (2) at x, where W = FFᵀ is singular and v = F r.
+        label: Meaning and unit of x.
+        start, end: Range of x.
+        problem: Returns the problem at x.
+        jumps: Number of jumps of the impact map in the range.
+        factor: Returns F (3, 2) and r (2) at x with W = FFᵀ and v = F r, for singular W.
     """
 
     label: str
@@ -35,18 +35,18 @@ class Sweep:
     factor: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
     def answer(self, x: float) -> np.ndarray:
-        """v⁺ and P at x, six numbers."""
+        """Return v⁺ and P at x (6,)."""
         solution = solve_impact(self.problem(x))
         return np.concatenate([solution.velocity, solution.impulse])
 
     def steepest(self, places: int, number: int) -> list[tuple[float, float]]:
-        """The intervals between equidistant places over which the answer changes the most."""
+        """Return the `number` intervals of an equidistant grid on which the solution changes most."""
         x = np.linspace(self.start, self.end, places)
         steps = np.abs(np.diff([self.answer(y) for y in x], axis=0)).max(axis=1)
         return [(x[k], x[k + 1]) for k in np.argsort(-steps)[:number]]
 
     def close_in(self, low: float, high: float) -> tuple[float, float, float]:
-        """Halve an interval, keeping the half with the larger change; return it and the change left."""
+        """Bisect towards the larger change until no double is in between; return interval and change."""
         first, last = self.answer(low), self.answer(high)
         while True:
             middle = (low + high) / 2
@@ -64,17 +64,17 @@ def _edge(law: str) -> Callable[[float], ImpactProblem]:
 
 
 FACTOR = np.array([[1.0, 0.25], [0.375, -0.75]])
-"""An arm's own Jacobian times the root of its inverse inertia: along the floor, and up."""
+"""Jacobian of a planar arm times the root of its inverse inertia; rows are along the floor, and up."""
 
 
 def _leaning(tilt: float) -> tuple[np.ndarray, np.ndarray]:
-    """An arm in a plane through the normal, but for a tilt."""
+    """Return F and r of an arm whose plane deviates from the normal by an angle."""
     F = np.array([FACTOR[0], np.sin(tilt) * FACTOR[1], np.cos(tilt) * FACTOR[1]])
     return F, np.array([0.25, 1.0])
 
 
 def _parallel(v3: float) -> tuple[np.ndarray, np.ndarray]:
-    """An arm that moves along the floor but for an eighth, with a slip of about one and an approach of v₃."""
+    """Return F and r of an arm that moves almost along the floor, with a slip of about 1 and velocity v₃."""
     normal = 0.125 * FACTOR[1]
     made = v3 * normal / (normal @ normal) + np.array([-normal[1], normal[0]]) / np.linalg.norm(normal)
     return np.array([FACTOR[0], FACTOR[1], normal]), made

@@ -1,4 +1,4 @@
-"""Ensembles: draws, independence of chunks and workers, survival, statistics against closed forms, errors."""
+"""Ensembles: draws, independence of chunks and workers, lost workers, statistics, errors."""
 
 import functools
 import itertools
@@ -46,7 +46,7 @@ def _run(samples=12, **how):
     return ensemble(_scene(), [0.1], [0.0], 0.2, over=OVER, samples=samples, seed=5, **how)
 
 
-def test_rows_are_those_of_single_runs():
+def test_rows_agree_with_closed_form():
     found = _run()
     for e, kick, speed, height in zip(
         *(found.columns[n] for n in ("restitution", "v0:rail", "v.rail", "q.rail")), strict=True
@@ -62,7 +62,7 @@ def test_rows_are_those_of_single_runs():
 
 
 @pytest.mark.parametrize("design", ["random", "sobol", "halton"])
-def test_draws_depend_neither_on_chunks_nor_on_workers(design, tmp_path, monkeypatch):
+def test_draws_are_independent_of_chunks_and_workers(design, tmp_path, monkeypatch):
     whole = _run(design=design)
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     _same(whole, _run(design=design))
@@ -71,7 +71,7 @@ def test_draws_depend_neither_on_chunks_nor_on_workers(design, tmp_path, monkeyp
     assert len(np.unique(whole.columns["restitution"])) == 12
 
 
-def test_processes_give_the_same_bits(tmp_path, monkeypatch):
+def test_processes_give_identical_results(tmp_path, monkeypatch):
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     _same(_run(), _run(executor=2, out=tmp_path / "study"))
     names = sorted(p.name for p in (tmp_path / "study").iterdir())
@@ -81,7 +81,7 @@ def test_processes_give_the_same_bits(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_chunks_cover_what_is_missing_once(seed):
+def test_chunks_cover_missing_samples_once(seed):
     rng = np.random.default_rng(seed)
     cuts = np.unique(np.r_[0, rng.integers(0, 500, 12), 500])
     known = {int(a): int(b - a) for a, b in itertools.pairwise(cuts) if rng.random() < 0.4}
@@ -99,7 +99,7 @@ def test_chunks_cover_what_is_missing_once(seed):
     assert sorted(samples) == list(range(500))
 
 
-def test_chunks_take_the_time_that_is_wanted():
+def test_size_of_chunks_reaches_target_time():
     pieces = ensembles._Pieces({}, 10**9)
     sizes = []
     for _ in range(12):
@@ -125,7 +125,7 @@ class _AtOnce(Executor):
 
 
 @pytest.mark.parametrize(("seconds", "grows"), [(100.0, True), (0.0, False)])
-def test_more_chunks_are_in_flight_where_none_waits_for_a_processor(seconds, grows):
+def test_number_of_chunks_in_flight(seconds, grows):
     executor, pieces, most = _AtOnce(), ensembles._Pieces({}, 300), 0
     task = lambda first, count: ({"sample": np.arange(first, first + count)}, seconds)  # noqa: E731
     for yielded, _ in enumerate(ensembles._by_executor(task, pieces, executor, 2)):
@@ -148,7 +148,7 @@ def _resume(out, **change):
     )
 
 
-def test_a_study_is_resumed_after_a_check(tmp_path, monkeypatch):
+def test_resumed_study(tmp_path, monkeypatch):
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     whole = _run(out=tmp_path)
     files = sorted(tmp_path.glob("*.parquet"))  # of 1, 5, 5 and 1 samples
@@ -166,7 +166,7 @@ def test_a_study_is_resumed_after_a_check(tmp_path, monkeypatch):
         _resume(tmp_path, duration=0.3)
 
 
-def test_chunks_that_overlap_count_once(tmp_path, monkeypatch):
+def test_samples_of_overlapping_chunks_count_once(tmp_path, monkeypatch):
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     whole = _run(out=tmp_path / "a")
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 3)
@@ -178,13 +178,13 @@ def test_chunks_that_overlap_count_once(tmp_path, monkeypatch):
 
 
 def _changed(folder, change):
-    """Change the record of a study."""
+    """Apply a function to the record of a study in a folder."""
     record = json.loads((folder / "study.json").read_text(encoding="utf-8"))
     change(record)
     (folder / "study.json").write_text(json.dumps(record), encoding="utf-8")
 
 
-def test_what_is_no_chunk_of_a_study_is_refused(tmp_path):
+def test_files_of_other_studies_and_damaged_files_raise(tmp_path):
     _run(out=tmp_path / "study")
     _run(out=tmp_path / "other", rtol=1e-6)
     file, other = (tmp_path / name / "samples-000000000.parquet" for name in ("study", "other"))
@@ -244,14 +244,14 @@ class _Gain:
         (_Gain(1.0).force, _Gain(1.0).force, _Gain(2.0).force),
     ],
 )
-def test_a_study_with_another_function_is_another_study(tmp_path, one, same, other):
+def test_study_with_another_function_is_another_study(tmp_path, one, same, other):
     _resume(tmp_path, scene=_scene(control=one))
     _resume(tmp_path, scene=_scene(control=same))
     with pytest.raises(InputError, match="of another scene or settings"):
         _resume(tmp_path, scene=_scene(control=other))
 
 
-def test_a_digest_is_the_same_in_each_process():
+def test_digest_is_the_same_in_each_process():
     code = (
         "from tests.test_ensemble import _scene, _control, OVER;"
         "from pinimpact.studies.sampling import Sampling;"
@@ -273,7 +273,7 @@ def test_a_digest_is_the_same_in_each_process():
     assert len(found) == 1
 
 
-def test_files_name_their_study(tmp_path):
+def test_files_contain_digest_of_their_study(tmp_path):
     from pyarrow import parquet
 
     _run(out=tmp_path)
@@ -284,7 +284,7 @@ def test_files_name_their_study(tmp_path):
 
 
 class _Killing:
-    """A row of a run that kills its process: once per file that can be made, or always without a file."""
+    """Row of a run that kills its worker process, once if it has a file as a flag, else each time."""
 
     def __init__(self, parent, flag=None):
         self.parent, self.flag = parent, flag
@@ -302,7 +302,7 @@ class _Killing:
         return {"v": float(trajectory.v[-1, 0])}
 
 
-def test_a_worker_that_dies_is_replaced_and_changes_nothing(tmp_path, monkeypatch):
+def test_killed_worker_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 4)
     killing = _Killing(os.getpid(), str(tmp_path / "died"))
     killed = _run(executor=1, reduce=killing)
@@ -311,20 +311,20 @@ def test_a_worker_that_dies_is_replaced_and_changes_nothing(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="there is no /proc to see processes")
-def test_a_study_survives_kills_of_workers_and_of_its_main_process(tmp_path):
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_study_after_kills_of_workers_and_main_process(tmp_path):
     columns, done = interrupted_study.kill_and_finish(tmp_path, kills=4)
     assert done == {"worker": 2, "main": 2}
     assert interrupted_study.differences(columns, interrupted_study.undisturbed(tmp_path)) == []
 
 
-def test_workers_that_die_again_and_again_are_an_error(monkeypatch):
+def test_repeatedly_killed_workers_raise(monkeypatch):
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 4)
     with pytest.raises(SimulationError, match=r"died 3 times .* in samples 0 to 3"):
         _run(executor=1, reduce=_Killing(os.getpid()))
 
 
-def test_a_sample_that_raises_is_a_row():
+def test_sample_that_raises_is_a_row_with_its_message():
     found = ensemble(
         _scene(), [0.1], [0.0], 0.05, over={"restitution": stats.uniform(-0.5, 1.0)}, samples=8, seed=1
     )
@@ -339,22 +339,22 @@ def test_a_sample_that_raises_is_a_row():
     assert sum(share.value for share in found.frequencies().values()) == pytest.approx(1.0)
 
 
-def test_single_impacts_follow_the_distributions():
+def test_single_impacts_against_closed_form():
     speed, e = stats.norm(-1.0, 0.1), stats.uniform(0.2, 0.6)
     found = ensemble(
         _scene(), [0.0], [0.0], None, over={"v0:rail": speed, "restitution": e}, samples=4000, seed=2
     )
     after = found.columns["v.rail"]
     np.testing.assert_allclose(after, -found.columns["restitution"] * found.columns["v0:rail"], rtol=1e-13)
-    mean = 0.5  # of e, times 1
+    mean = 0.5  # mean of e times mean speed 1
     spread = np.sqrt((0.12 / 4 + 0.25) * (0.01 + 1.0) - 0.25)
     assert abs(after.mean() - mean) < 4 * spread / np.sqrt(len(after))
     middle = found.quantiles("v.rail", 0.5)[0]
     assert middle.low < middle.value < middle.high
 
 
-def test_quantiles_count_what_never_happens():
-    """A mass kicked upwards by v ~ N(0, 1) m/s has fallen h = 0.1 m after (v + √(v² + 2 g h))/g."""
+def test_quantiles_with_infinite_values():
+    """A mass with v ~ N(0, 1) m/s upwards falls by h = 0.1 m in a time of (v + √(v² + 2 g h))/g."""
 
     def first(trajectory):
         return {"first": trajectory.impacts[0].time if trajectory.impacts else np.inf}
@@ -366,7 +366,7 @@ def test_quantiles_count_what_never_happens():
     never = falls > 0.2
     assert 0.05 < never.mean() < 0.5
     median, top = found.quantiles("first", [0.5, 0.99])
-    assert median.value == pytest.approx(np.sort(falls)[149], rel=1e-9)  # the 150th of 300 by the formula
+    assert median.value == pytest.approx(np.sort(falls)[149], rel=1e-9)  # the 150th of 300 values
     assert top.value == np.inf
     assert "90 % within" in found.summary()
     found.plot()
@@ -375,13 +375,13 @@ def test_quantiles_count_what_never_happens():
 @pytest.mark.parametrize(
     ("q", "confidence"), [(0.0, 0.95), (1.5, 0.95), (np.nan, 0.95), (0.5, 95), (0.5, 1.0)]
 )
-def test_levels_of_quantiles_are_between_0_and_1(q, confidence):
+def test_invalid_levels_of_quantiles_raise(q, confidence):
     with pytest.raises(InputError, match=r"between 0 and 1|finite"):
         _run(3).quantiles("v.rail", q, confidence)
 
 
-def test_sobol_indices_of_a_product_are_those_of_its_variances():
-    # v⁺ = −e v of independent e and v: parts μ_v² σ_e², μ_e² σ_v² and σ_e² σ_v² of its variance
+def test_sobol_indices_against_closed_form():
+    # the variance of v⁺ = −e v, of independent e and v, is the sum of μ_e² σ_v², μ_v² σ_e² and σ_e² σ_v²
     found = ensemble(
         _scene(),
         [0.0],
@@ -406,7 +406,8 @@ def _tables(page):
     return [tuple(re.sub("<.*?>", "", cell) for cell in re.findall(r"<t[dh]>(.*?)</t[dh]>", r)) for r in rows]
 
 
-def test_the_page_has_quantiles_frequencies_indices_and_loads_nothing(tmp_path):
+def test_summary_page(tmp_path):
+    """The page has quantiles, frequencies and Sobol indices, and loads no other files."""
     over = {"v0:rail": stats.uniform(-2.0, 1.0), "restitution": stats.uniform(0.2, 0.6)}
     given = {"over": over, "samples": 400, "design": "saltelli"}
     found = ensemble(_scene(), [0.0], [0.0], None, **given)
@@ -429,7 +430,7 @@ def test_the_page_has_quantiles_frequencies_indices_and_loads_nothing(tmp_path):
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
 
 
-def test_the_command_writes_a_page_and_continues(tmp_path, monkeypatch):
+def test_command_writes_summary_and_resumes(tmp_path, monkeypatch):
     from click.testing import CliRunner
 
     from pinimpact.app.cli import main
@@ -454,7 +455,7 @@ def test_the_command_writes_a_page_and_continues(tmp_path, monkeypatch):
     assert third.output == first.output
 
 
-def test_a_tangent_of_the_start_is_added_on_the_manifold():
+def test_change_of_q0_is_in_tangent_space():
     robot = pin.Model()
     joint = robot.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     robot.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -469,7 +470,7 @@ def test_a_tangent_of_the_start_is_added_on_the_manifold():
         np.testing.assert_allclose(end, pin.integrate(robot, q0, np.array(change)), atol=1e-8)
 
 
-def test_trajectories_are_kept_on_request(tmp_path):
+def test_trajectories_are_saved_on_request(tmp_path):
     from pinimpact import Trajectory
 
     found = _run(samples=2, out=tmp_path, keep=True)
@@ -524,7 +525,7 @@ def test_bad_input_is_named(error, match, change):
         ensemble(_scene(), [0.1], [0.0], given.pop("duration", 0.1), **given)
 
 
-def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
+def test_scene_that_cannot_be_pickled_raises_before_the_first_run(tmp_path):
     scene = _scene(control=lambda t, q, v: 0.0 * v)
     with pytest.raises(InputError, match="scene: cannot be sent to other processes"):
         ensemble(scene, [0.1], [0.0], 0.1, over=OVER, samples=2, executor=2, out=tmp_path / "none")
@@ -551,14 +552,14 @@ def _rows(trajectory, what):
         ("good", "OK", "^$"),
     ],
 )
-def test_rows_of_reduce_are_numbers_and_texts(what, status, match):
+def test_rows_of_reduce_are_numbers_or_texts(what, status, match):
     found = _run(2, reduce=functools.partial(_rows, what=what))
     assert set(found.columns["status"]) == {status}
     assert all(re.search(match, text) for text in found.columns["message"])
 
 
 class _Counting:
-    """A sampled control with a state: its force grows with each call."""
+    """A sampled control whose force increases with each call."""
 
     def __init__(self):
         self.calls = 0
@@ -568,7 +569,7 @@ class _Counting:
         return np.array([float(self.calls)])
 
 
-def test_a_control_with_a_state_begins_anew_in_each_sample():
+def test_each_sample_has_its_own_copy_of_the_control():
     scene = _scene(control=_Counting(), period=0.05)
     given = {"over": {"v0:rail": stats.uniform(0.0, 0.0)}, "samples": 3}
     found = ensemble(scene, [1.0], [0.0], 0.2, **given)
@@ -576,8 +577,7 @@ def test_a_control_with_a_state_begins_anew_in_each_sample():
     assert scene.control.calls == 0
 
 
-def test_a_run_that_an_event_ends_is_a_row():
-    # a mass that falls from 0.1 m passes 0.05 m at √(2 · 0.05 / g)
+def test_run_ended_by_event_is_a_row():
     scene = _scene(events=[Event(_half_way, terminal=True)])
     found = ensemble(scene, [0.1], [0.0], 0.2, over={"restitution": stats.uniform()}, samples=2)
     assert set(found.columns["status"]) == {"OK"}
@@ -588,7 +588,7 @@ def _half_way(t, q, v):
     return q[0] - 0.05
 
 
-def test_a_sample_is_simulated_again_on_request():
+def test_trajectory_of_sample_is_recomputed():
     found = _run(3)
     trajectory = found.trajectory(2)
     assert trajectory.v[-1, 0] == found.columns["v.rail"][2]
@@ -611,7 +611,7 @@ def test_impacts_with_invalid_numbers_are_rows_with_messages():
 
 
 class _Failing(ThreadPoolExecutor):
-    """An executor whose third task fails."""
+    """Executor whose third task raises."""
 
     count = 0
 
@@ -624,7 +624,7 @@ def _fail():
     raise OSError("no route to host")
 
 
-def test_an_executor_that_fails_is_an_error_and_nothing_is_lost(tmp_path):
+def test_failing_executor_raises_after_saving_finished_chunks(tmp_path):
     with (
         _Failing(1) as pool,
         pytest.raises(SimulationError, match=r"failed \(OSError: no route to host\) in samples"),
@@ -634,7 +634,7 @@ def test_an_executor_that_fails_is_an_error_and_nothing_is_lost(tmp_path):
     _same(_run(), _resume(tmp_path))
 
 
-def test_a_dask_cluster_gives_the_same_bits_when_a_worker_is_killed(monkeypatch):
+def test_dask_cluster_with_killed_worker_gives_identical_results(monkeypatch):
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
     monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 4)
     with (

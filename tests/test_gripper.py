@@ -1,4 +1,4 @@
-"""A gripper that closes on a cube off its middle: one finger pushes it over the floor until both hold it."""
+"""A gripper closes on a cube that is not centred: one finger pushes it over the floor until both hold it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GRIP, DAMPING, SIDE = 20.0, 10.0, 0.05
 
 
 def gripper():
-    """A palm on a vertical slide with two fingers on horizontal ones, and a free cube."""
+    """Return a palm on a vertical prismatic joint with two fingers on horizontal ones, and a free cube."""
     model, shapes, here = pin.Model(), pin.GeometryModel(), pin.SE3.Identity()
     palm = model.addJoint(0, pin.JointModelPZ(), here, "lift")
     model.appendBodyToJoint(palm, pin.Inertia.FromBox(1.0, 0.2, 0.05, 0.03), here)
@@ -38,7 +38,7 @@ def closing(t, q, v):
     return force
 
 
-def test_forces_beyond_the_bounds_of_their_modes_are_left_to_time_steps():
+def test_time_steps_replace_modes_with_forces_beyond_their_bounds():
     robot = gripper()
     contacts = [Contact(geometry="cube", plane=Plane(name="floor"), friction=0.5, restitution=0.2)]
     contacts += [Contact(geometry=name, plane=Shape("cube"), friction=0.05) for name in ("left", "right")]
@@ -47,5 +47,5 @@ def test_forces_beyond_the_bounds_of_their_modes_are_left_to_time_steps():
     with pytest.warns(SteppedWarning, match="exceed the bounds"):
         trajectory = simulate(scene, q, np.zeros(9), 0.12)
     assert not any("may be wrong" in note.text for note in trajectory.notes)
-    assert np.abs(trajectory.v[-1]).max() < 1e-6  # it is held
+    assert np.abs(trajectory.v[-1]).max() < 1e-6  # the fingers hold the cube
     assert np.abs(trajectory.energy.residual).max() < 1e-5

@@ -1,4 +1,4 @@
-"""Kane's puzzle: a double pendulum whose kinetic energy Newton's law multiplies."""
+"""Kane's puzzle: a double pendulum whose kinetic energy increases by Newton's law of restitution."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def strike(law, friction):
 
 
 def energy(v):
-    """Kinetic energy of two unit rods from their absolute angles, written out."""
+    """Return the kinetic energy of two unit rods with the given joint velocities."""
     (a, b), (u, w) = np.deg2rad(DEGREES), np.cumsum(v)
     return 0.5 * (4 / 3 * u * u + u * w * np.cos(a - b) + 1 / 3 * w * w)
 
@@ -43,7 +43,7 @@ def test_energy_after_over_energy_before(law, friction, ratio):
     assert hit.solution.work.total == pytest.approx(energy(hit.v) - energy(v), abs=1e-15)
 
 
-def test_newton_meets_its_law_even_so():
+def test_newtons_law_is_satisfied():
     v, hit = strike("newton", 0.7)
     before = -np.sin(np.deg2rad(DEGREES)) @ np.cumsum(v)  # height of the tip: −Σ cos
     assert hit.solution.velocity[2] == pytest.approx(0.5 * before, rel=1e-12)

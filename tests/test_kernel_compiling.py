@@ -1,4 +1,4 @@
-"""When kernels are compiled, what for, and that whoever waits is told; on kernels that take little time."""
+"""Compilation of kernels: when it is needed, by the worker pool, from a wheel; messages to users who wait."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ print(json.dumps([answers, made]))
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A package of this one's name with its decorators and three small modules of kernels."""
+    """Return a package, also named pinimpact, with the decorators and three small modules of kernels."""
     root = tmp_path / "pinimpact"
     shutil.copytree(SOURCE, root / "_compile", ignore=shutil.ignore_patterns("__pycache__"))
     kernels = root / "scene" / "_kernels"
@@ -95,7 +95,7 @@ def python(package: Path, code: str = CALL, **variables: str) -> subprocess.Comp
     environment = dict(
         os.environ,
         PYTHONPATH=str(package.parent),
-        PYTHONDONTWRITEBYTECODE="1",  # bytecode knows sources by their size and the second of their change
+        PYTHONDONTWRITEBYTECODE="1",  # bytecode identifies sources by size and time in whole seconds
         NUMBA_CACHE_DIR=str(package.parent / "cache"),
     )
     return subprocess.run(
@@ -118,10 +118,10 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(path.read_text().replace(old, new))
 
 
-def test_only_an_edit_of_code_compiles_anew_and_only_what_uses_it(package: Path) -> None:
+def test_only_edited_code_and_its_callers_are_recompiled(package: Path) -> None:
     leaf, entry = (package / "scene" / "_kernels" / name for name in ("leaf.py", "entry.py"))
     assert call(package) == ([7.0, 130.0, -3.0], ["first", "shifted", "scaled", "second", "third"])
-    # comments, docstrings and layout, of entries and of what they call
+    # edits of comments, docstrings and layout, in callers and callees
     edit(
         leaf, "FACTOR = 2.0\n", '"""Docstring."""\n\nFACTOR = 2.0  # twice\n"""What a kernel doubles by."""\n'
     )
@@ -130,20 +130,20 @@ def test_only_an_edit_of_code_compiles_anew_and_only_what_uses_it(package: Path)
     edit(package / "_compile" / "jit.py", '"""The decorators', '"""All the decorators')
     edit(package / "scene" / "_kernels" / "other.py", "-x", "-1.0 * x")
     assert call(package) == ([7.0, 130.0, -3.0], ["third"])
-    # a constant of an inner kernel of a callee in another module
+    # a constant of an inlined kernel of a callee in another module
     edit(leaf, "FACTOR = 2.0", "FACTOR = 3.0")
     assert call(package) == ([10.0, 280.0, -3.0], ["first", "shifted", "scaled", "second"])
     assert call(package) == ([10.0, 280.0, -3.0], [])
 
 
-def test_a_callee_that_the_cache_has_lost_is_compiled_before_its_caller_is_loaded(package: Path) -> None:
+def test_callee_missing_in_cache_is_compiled_before_its_caller_is_loaded(package: Path) -> None:
     call(package)
     for file in (package.parent / "cache").rglob("leaf.*"):
         file.unlink()
     assert call(package) == ([7.0, 130.0, -3.0], ["shifted", "scaled"])
 
 
-def test_what_other_processes_write_late_is_not_taken_for_what_was_asked(package: Path) -> None:
+def test_cached_files_of_other_signatures_or_sources_are_rejected(package: Path) -> None:
     both = "\nprint(other.third(2.0), other.third(2))"
     imports = "from pinimpact.scene._kernels import other"
     assert python(package, imports + both).stdout == "-2.0 -2\n"
@@ -158,9 +158,9 @@ def test_what_other_processes_write_late_is_not_taken_for_what_was_asked(package
     assert python(package, imports + both).stdout == "-6.0 -6\n"
 
 
-def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) -> None:
+def test_source_edited_after_import_leaves_no_stale_kernel(package: Path) -> None:
     leaf = package / "scene" / "_kernels" / "leaf.py"
-    late = (  # Python knows its own compiled files by whole seconds
+    late = (  # Python identifies sources of its bytecode by times in whole seconds
         "import os\nfrom pathlib import Path\nfrom pinimpact.scene._kernels import entry\n"
         f"leaf = Path({str(leaf)!r})\n"
         "leaf.write_text(leaf.read_text().replace('FACTOR = 2.0', 'FACTOR = 3.0'))\n"
@@ -201,7 +201,7 @@ os._exit(3)
 locked = wait_for(lambda team, job: team._is_locked(job))
 pool.WorkerPool.compile_with_others = lambda self, jobs: (locked(self, jobs), shared(self, jobs))
 """
-NOBODY_IS_LEFT = """
+NO_CHILD_IS_LEFT = """
 try:
     sys.exit(f"a child is left: {os.waitpid(-1, os.WNOHANG)}")
 except ChildProcessError:
@@ -211,10 +211,10 @@ except ChildProcessError:
 
 @pytest.fixture
 def team(package: Path) -> Path:
-    """The package, with types of arguments declared, and a folder for what is temporary."""
-    told = "from ..._compile.declared import declared\n\n\n@declared(float)\n"
-    edit(package / "scene" / "_kernels" / "entry.py", "@jit\ndef first", f"{told}@jit\ndef first")
-    edit(package / "scene" / "_kernels" / "leaf.py", "@external", f"{told}@external")
+    """Return the package after declaring types of arguments, next to a folder for temporary files."""
+    declaration = "from ..._compile.declared import declared\n\n\n@declared(float)\n"
+    edit(package / "scene" / "_kernels" / "entry.py", "@jit\ndef first", f"{declaration}@jit\ndef first")
+    edit(package / "scene" / "_kernels" / "leaf.py", "@external", f"{declaration}@external")
     (package.parent / "temporary").mkdir()
     return package
 
@@ -227,46 +227,46 @@ def of_team(team: Path, code: str) -> tuple[list[float], list[str]]:
     return answers, made
 
 
-needs_waitpid = pytest.mark.skipif(sys.platform == "win32", reason="asks for children")
+needs_waitpid = pytest.mark.skipif(sys.platform == "win32", reason="needs waitpid")
 
 
 @needs_waitpid
-def test_helpers_compile_what_is_known_ahead(team: Path) -> None:
-    assert of_team(team, HELPER_DOES_ALL + CALL + NOBODY_IS_LEFT) == ([7.0, 130.0, -3.0], [])
+def test_helpers_compile_declared_kernels(team: Path) -> None:
+    assert of_team(team, HELPER_DOES_ALL + CALL + NO_CHILD_IS_LEFT) == ([7.0, 130.0, -3.0], [])
     assert call(team) == ([7.0, 130.0, -3.0], [])
 
 
 @needs_waitpid
-def test_whoever_waits_and_the_helpers_share_the_work(team: Path) -> None:
-    answers, made = of_team(team, CALL + NOBODY_IS_LEFT)
+def test_waiting_process_and_helpers_share_the_tasks(team: Path) -> None:
+    answers, made = of_team(team, CALL + NO_CHILD_IS_LEFT)
     assert answers == [7.0, 130.0, -3.0]
     assert len(made) == len(set(made))
     assert call(team) == ([7.0, 130.0, -3.0], [])
 
 
 @needs_waitpid
-def test_what_a_helper_leaves_undone_is_compiled_all_the_same(team: Path) -> None:
-    answers, made = of_team(team, HELPER_DIES + CALL + NOBODY_IS_LEFT)
+def test_kernels_not_finished_by_a_helper_are_compiled_by_others(team: Path) -> None:
+    answers, made = of_team(team, HELPER_DIES + CALL + NO_CHILD_IS_LEFT)
     assert answers == [7.0, 130.0, -3.0]
     assert sorted(made) == ["first", "scaled", "second", "shifted", "third"]
     shutil.rmtree(team.parent / "cache")
     fails = "pool._CODE = 'raise SystemExit(1)'\n"
-    assert of_team(team, fails + CALL + NOBODY_IS_LEFT)[0] == [7.0, 130.0, -3.0]
+    assert of_team(team, fails + CALL + NO_CHILD_IS_LEFT)[0] == [7.0, 130.0, -3.0]
 
 
 @needs_waitpid
-def test_an_interrupt_ends_the_helpers(team: Path) -> None:
+def test_interrupt_ends_helpers(team: Path) -> None:
     interrupted = (
         "def interrupt(self, jobs):\n    assert len(self._helpers) == 1\n    raise KeyboardInterrupt\n"
         "pool.WorkerPool.compile_with_others = interrupt\n"
         "from pinimpact.scene._kernels import entry\n"
         "try:\n    entry.first(3.0)\nexcept KeyboardInterrupt:\n    print('stopped')\n"
     )
-    assert python(team, TEAM + interrupted + NOBODY_IS_LEFT).stdout == "stopped\n"
+    assert python(team, TEAM + interrupted + NO_CHILD_IS_LEFT).stdout == "stopped\n"
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
-def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
+def test_helpers_end_with_the_process_that_started_them(team: Path) -> None:
     killed = (
         "pool._CODE += '; import time; time.sleep(300)'\n"
         "def die(self, jobs):\n    [pid] = self._helpers\n    print(pid, flush=True)\n    os._exit(0)\n"
@@ -282,7 +282,7 @@ def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
         time.sleep(0.05)
 
 
-def test_a_script_needs_no_main_guard_for_helpers(team: Path) -> None:
+def test_script_needs_no_main_guard_for_helpers(team: Path) -> None:
     script = team.parent / "script.py"
     script.write_text(TEAM + HELPER_DOES_ALL + CALL)
     environment = dict(os.environ, PYTHONPATH=str(team.parent), NUMBA_CACHE_DIR=str(team.parent / "cache"))
@@ -293,7 +293,7 @@ def test_a_script_needs_no_main_guard_for_helpers(team: Path) -> None:
     assert json.loads(done.stdout) == [[7.0, 130.0, -3.0], []]
 
 
-def test_two_first_runs_at_once_with_helpers(team: Path) -> None:
+def test_two_simultaneous_first_runs_with_helpers(team: Path) -> None:
     environment = dict(os.environ, PYTHONPATH=str(team.parent), NUMBA_CACHE_DIR=str(team.parent / "cache"))
     command = [sys.executable, "-c", TEAM + CALL]
     both = [subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) for _ in range(2)]
@@ -301,7 +301,7 @@ def test_two_first_runs_at_once_with_helpers(team: Path) -> None:
     assert answers == 2 * [[7.0, 130.0, -3.0]]
 
 
-def test_types_told_wrongly_do_no_harm(team: Path) -> None:
+def test_wrongly_declared_arguments_do_not_matter(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, float)")
     edit(team / "scene" / "_kernels" / "entry.py", "@declared(float)", "@declared(bool)")
     assert of_team(team, CALL)[0] == [7.0, 130.0, -3.0]
@@ -326,15 +326,15 @@ print([one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if on
 """
 
 
-def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
+def test_callers_of_kernels_with_declared_result_do_not_wait(team: Path) -> None:
     leaf = team / "scene" / "_kernels" / "leaf.py"
     edit(leaf, "@declared(float)", "@declared(float, result=float)")
-    # "first" is compiled while another, who never gets to it, has locked what it calls
+    # "first" is compiled while another process holds the lock of "shifted" without compiling it
     assert python(team, SHARED).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
     assert call(team)[0] == [7.0, 130.0, -3.0]
 
 
-def test_what_was_called_before_it_was_compiled_is_compiled_all_the_same(team: Path) -> None:
+def test_callee_is_compiled_after_its_caller(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=float)")
     alone = SHARED.replace("assert pool.present.lock(shifted)", "jobs.sort(key=lambda job: job.name)")
     kept = "    assert entry.leaf.shifted._cache.knows(shifted.types)\n"
@@ -342,7 +342,7 @@ def test_what_was_called_before_it_was_compiled_is_compiled_all_the_same(team: P
     assert python(team, alone).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
 
 
-def test_whoever_comes_too_late_to_a_kernel_goes_on_with_others(team: Path) -> None:
+def test_process_too_late_for_a_lock_continues_with_other_kernels(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=float)")
     late = (
         "jobs.sort(key=lambda job: job.name != 'shifted')\nlooks, look = [], pool.WorkerPool._is_locked\n"
@@ -354,14 +354,14 @@ def test_whoever_comes_too_late_to_a_kernel_goes_on_with_others(team: Path) -> N
     assert python(team, raced).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
 
 
-def test_a_result_told_wrongly_is_an_error(team: Path) -> None:
+def test_wrongly_declared_result_raises(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=int)")
     with pytest.raises(subprocess.CalledProcessError) as raised:
         python(team)
     assert "shifted: returns float64, not int64 as declared" in raised.value.stderr
 
 
-def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:
+def test_no_helpers_without_compiler_or_cache(team: Path) -> None:
     forbidden = TEAM + "def _helper(*_): raise AssertionError\npool._helper = _helper\n"
     plain = python(team, forbidden + CALL, NUMBA_DISABLE_JIT="1")
     assert json.loads(plain.stdout)[0] == [7.0, 130.0, -3.0]
@@ -370,7 +370,7 @@ def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:
     assert json.loads(python(team, forbidden + closed + CALL).stdout)[0] == [7.0, 130.0, -3.0]
 
 
-def test_helpers_are_as_many_as_further_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_number_of_helpers(monkeypatch: pytest.MonkeyPatch) -> None:
     def possible(processors: int, executable: str | None) -> int:
         with monkeypatch.context() as here:
             here.setattr(os, "sched_getaffinity", lambda _: set(range(processors)), raising=False)
@@ -383,7 +383,7 @@ def test_helpers_are_as_many_as_further_processors(monkeypatch: pytest.MonkeyPat
     assert possible(4, "/usr/bin/python3.11") == 0
 
 
-def test_a_part_is_kept_and_taken_in_by_whoever_needs_it(package: Path) -> None:
+def test_inlined_bitcode_is_cached_and_linked_into_callers(package: Path) -> None:
     leaf = package / "scene" / "_kernels" / "leaf.py"
     edit(leaf, "external, inlined", "external, inlined_bitcode")
     edit(leaf, "@inlined", "@external\ndef half(x):\n    return 0.5 * x\n\n\n@inlined_bitcode")
@@ -401,9 +401,7 @@ OLD_PROCESSOR = "from pinimpact._compile import portable\nportable.runs_here = l
 
 
 @pytest.mark.skipif(not portable.runs_here(), reason="kernels of a wheel do not run on this processor")
-def test_kernels_of_a_wheel_are_used_wherever_it_is_and_edited_ones_compiled(
-    package: Path, tmp_path: Path
-) -> None:
+def test_kernels_of_wheel_are_used_anywhere_unless_edited(package: Path, tmp_path: Path) -> None:
     assert json.loads(python(package, **FOR_ALL).stdout)[1] != []
     installed = tmp_path / "elsewhere" / "pinimpact"
     installed.parent.mkdir()
@@ -452,7 +450,7 @@ def refined(n):
     return total, last
 
 
-def test_types_that_are_known_late_reach_what_was_typed_before() -> None:
+def test_types_inferred_late_reach_earlier_variables() -> None:
     assert refined(5) == (3.0, 3.0)
     assert refined.signatures[0][0] == numba.int64
     assert str(refined.nopython_signatures[0].return_type) == "UniTuple(float64 x 2)"
@@ -465,23 +463,23 @@ def longer(length, more):
 
 @jit
 def grown(n):
-    length = 0  # a constant for numba, until it has seen what becomes of it
+    length = 0  # numba types it as a literal until it has typed the loop
     for k in range(n):
         length = longer(length, k % 2 == 0)
     return length
 
 
-def test_what_follows_from_itself_is_no_constant() -> None:
+def test_variable_updated_in_loop_is_not_typed_as_literal() -> None:
     assert grown(9) == 5
 
 
-def test_what_is_kept_is_loaded_without_what_compiles(package: Path) -> None:
+def test_cached_kernels_are_loaded_without_the_compiler(package: Path) -> None:
     imported = "\nimport sys\nprint('numba.np.linalg' in sys.modules)"
     assert python(package, CALL + imported).stdout.endswith("True\n")
     assert python(package, CALL + imported).stdout.endswith("False\n")
 
 
-def test_memory_is_released_once() -> None:
+def test_memory_of_kernels_is_released_once() -> None:
     _nrt_python.memsys_enable_stats()
     before = rtsys.get_allocation_stats()
     for _ in range(3):
@@ -511,7 +509,7 @@ def sums_of_new_rows(n):
     return out, rows[0, 0]
 
 
-def test_arrays_are_borrowed_for_the_length_of_a_call() -> None:
+def test_arrays_are_borrowed_for_the_duration_of_a_call() -> None:
     expected = np.cumsum([1.0, 0.0, 1.0, 2.0])[1:] * 4.0
     kept = [sums_of_new_rows(3) for _ in range(50)]
     rubbish = [np.full(3, -1.0) for _ in range(200)]
@@ -528,26 +526,26 @@ def test_arrays_are_borrowed_for_the_length_of_a_call() -> None:
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 16
 
 
-def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:
-    assert python(package).stderr == ""  # it takes no time
+def test_message_while_compiling_appears_once(package: Path) -> None:
+    assert python(package).stderr == ""  # compilation is too short for a message
     shutil.rmtree(package.parent / "cache")
     edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
-    told = python(package).stderr
-    assert told.count("\n") == 1
-    assert told.startswith("pinimpact: compiling kernels for impacts and scenes, which are kept")
+    message = python(package).stderr
+    assert message.count("\n") == 1
+    assert message.startswith("pinimpact: compiling kernels for impacts and scenes, which are kept")
     assert python(package).stderr == ""
     shutil.rmtree(package.parent / "cache")
     quiet = "import logging; logging.getLogger('pinimpact.compiling').setLevel('ERROR')\n"
     assert python(package, quiet + CALL).stderr == ""
 
 
-def test_the_wait_is_that_of_all_kernels_reached() -> None:
+def test_estimated_wait_counts_all_reachable_kernels() -> None:
     names = {function.__name__ for function in reached([another_call, both])}
     assert names == {"another_call", "halved", "cubed", "one_call", "both", "product"}
     assert len(reached([both])) == 2 + 1
 
 
-def test_without_a_writable_folder_the_wait_is_said_to_come_again(package: Path) -> None:
+def test_message_without_writable_cache_folder(package: Path) -> None:
     (package.parent / "cache").write_text("a file where a folder is wanted")
     edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
     closed = "import tempfile\ndef fail(*_, **__): raise OSError\ntempfile.TemporaryFile = fail\n"
@@ -557,7 +555,7 @@ def test_without_a_writable_folder_the_wait_is_said_to_come_again(package: Path)
     assert "NUMBA_CACHE_DIR" in answer.stderr
 
 
-def test_a_damaged_cache_is_filled_again(package: Path) -> None:
+def test_damaged_cache_is_filled_again(package: Path) -> None:
     assert call(package)[0] == [7.0, 130.0, -3.0]
     for index in (package.parent / "cache").rglob("*.nbi"):
         index.write_bytes(index.read_bytes()[:-20])
@@ -619,7 +617,7 @@ def another_call(x, y):
     return halved(x) + cubed(y) + one_call(y)
 
 
-def test_a_separate_kernel_is_compiled_once_and_copied_nowhere() -> None:
+def test_external_kernel_is_compiled_once() -> None:
     with event.install_recorder("numba:compile") as record:
         assert one_call(2.0) == 4.0
         assert another_call(2.0, 3.0) == 4.0 + 27.0 + 13.5
@@ -627,7 +625,7 @@ def test_a_separate_kernel_is_compiled_once_and_copied_nowhere() -> None:
     assert sorted(made) == ["another_call", "cubed", "halved", "one_call"]
 
 
-def test_kernels_can_be_called_from_functions_that_numba_itself_compiles() -> None:
+def test_kernels_can_be_called_from_numba_functions() -> None:
     @numba.njit
     def foreign(x):
         return halved(x) + one_call(x)
@@ -651,7 +649,7 @@ def both(x):
     return twice(x) + 100.0 * thrice(x)
 
 
-def test_inner_kernels_made_by_one_function_are_told_apart() -> None:
+def test_inlined_kernels_made_by_one_function_are_distinguished() -> None:
     assert both(1.0) == 302.0
     with pytest.raises(ValueError, match="defined inside a function"):
         jit(twice.py_func)
@@ -662,7 +660,7 @@ def with_array(x, n):
     return x[0] + n
 
 
-def test_all_can_be_compiled_beforehand() -> None:
+def test_kernels_can_be_compiled_in_advance() -> None:
     decorators.compile_all((with_array, np.zeros(1), 1), (with_array, np.zeros((1, 1))[0], 1.0))
     with event.install_recorder("numba:compile") as record:
         assert with_array(np.ones(1), 2) == 3.0
@@ -670,7 +668,7 @@ def test_all_can_be_compiled_beforehand() -> None:
     assert not record.buffer
 
 
-def test_the_command_line_shows_what_it_waits_for() -> None:
+def test_command_line_shows_progress_of_compilation() -> None:
     logger = logging.getLogger("pinimpact.compiling")
     shown: list[str] = []
     with compiling_shown(Console(force_terminal=True), shown.append):

@@ -1,4 +1,4 @@
-"""Bodies that land flat on several corners, against an independent integration of the same model."""
+"""Flat landings on several corners by the method of events, against independent time integration."""
 
 import re
 
@@ -14,9 +14,9 @@ from .landing_reference import landing
 
 
 def body(corners, height):
-    """W and the contact Jacobian (3n, 6) of a body of mass 1 and the inertia of a box about its centre.
+    """Return W and the contact Jacobian (3n, 6) of a body of mass 1 with the inertia of a box.
 
-    Its corners are as deep below it, or each at a depth of its own.
+    `height`, one number or (n,), is that of the centre above the corners [m].
     """
     rows = []
     for (x, y), depth in zip(corners, np.broadcast_to(height, len(corners)), strict=True):
@@ -31,7 +31,7 @@ STOOL = [(0.06, 0.0), (-0.03, 0.05), (-0.03, -0.05)]
 
 
 def landing_by_steps():
-    """W and velocities of a box with uneven corners, of which two slip far more slowly than the others."""
+    """Return W and velocities of a box with uneven corners, two of which slip more slowly than the others."""
     w, jacobian = body(BOX, (0.05, 0.0501, 0.04995, 0.05003))
     return w, (jacobian @ np.array((0.3, 0.0, -1.0, 0.0, 0.0, 0.5))).reshape(-1, 3)
 
@@ -54,14 +54,14 @@ def test_flat_landings_against_short_steps(corners, friction, restitution, u):
         ImpactProblem(w, start.reshape(-1, 3), friction, restitution, "energetic", stiffness=np.ones(n))
     )
     after = start + w @ solution.impulse.ravel()
-    # in m/s: what extrapolation leaves at this step, by its own estimate
+    # error of extrapolation at this step size [m/s]
     assert error < 4e-7
     assert np.abs(after - by_steps).max() < 4e-7
 
 
 @pytest.mark.parametrize("scale", [4.0**15, 4.0**-15])
 @pytest.mark.parametrize("by_steps", [False, True])
-def test_a_landing_is_the_same_for_a_grain_of_dust(by_steps, scale):
+def test_landing_is_invariant_under_scaling_of_mass(by_steps, scale):
     w, start = landing_by_steps()
     if not by_steps:
         w, jacobian = body(BOX, 0.05)
@@ -77,7 +77,7 @@ def test_a_landing_is_the_same_for_a_grain_of_dust(by_steps, scale):
 
 @pytest.mark.parametrize("u", [(0.5, 0.0, -1.0, 0.0, 0.0, 0.0), (0.3, 0.2, -1.0, 0.5, -0.4, 0.0), None])
 @pytest.mark.parametrize("friction", [0.3, 0.8])
-def test_the_recorded_path_of_a_flat_landing_obeys_the_laws(u, friction):
+def test_recorded_path_of_flat_landing_obeys_the_laws(u, friction):
     w, start = landing_by_steps()
     if u is not None:
         w, jacobian = body(BOX, 0.05)
@@ -94,13 +94,13 @@ def test_the_recorded_path_of_a_flat_landing_obeys_the_laws(u, friction):
     assert path.velocity.reshape(moved.shape) == pytest.approx(moved, abs=1e-12)
     steps = np.diff(path.impulse, axis=0)
     assert steps[:, :, 2].min() >= -1e-12
-    # also of friction that corners share and that comes to all its bounds
+    # also where corners share their friction and all reach its bound
     assert (np.hypot(steps[:, :, 0], steps[:, :, 1]) - friction * steps[:, :, 2]).max() <= 1e-12
 
 
 @pytest.mark.parametrize("seed", [6, 11])
-def test_shared_friction_of_an_uneven_plate_keeps_to_its_bounds(seed):
-    """Some of its motions are held a thousand times more weakly than others."""
+def test_shared_friction_of_uneven_plate_is_within_its_bounds(seed):
+    """Friction resists some motions of the plate a thousand times less than others."""
     rng = np.random.default_rng(seed)
     a, b, h = rng.uniform(0.02, 0.2, 3)
     corners = np.array([(x * a, y * b, -h) for x in (-1, 0, 1) for y in (-1, 0, 1)])
@@ -116,15 +116,15 @@ def test_shared_friction_of_an_uneven_plate_keeps_to_its_bounds(seed):
 
 
 def grid(count):
-    """A square of points."""
+    """Return the points of a square grid."""
     sides = np.linspace(-0.05, 0.05, round(np.sqrt(count)))
     return [(x, y) for x in sides for y in sides]
 
 
 @pytest.mark.parametrize("count", [4, 9])
 @pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, "in a plane"])
-def test_a_landing_from_event_to_event_and_by_steps(count, seed):
-    """Slip that begins at all corners at once, in the series and in the implicit steps of (14.10)."""
+def test_landing_by_events_and_by_steps(count, seed):
+    """Slip starts at all corners at once, in the series and in the implicit steps of (14.10)."""
     w, jacobian = body(grid(count), 0.05)
     u, mu, e = np.array([0.3, 0.0, -1.0, 0.0, 0.0, 0.0]), 0.4, 0.6
     if seed != "in a plane":
@@ -135,8 +135,8 @@ def test_a_landing_from_event_to_event_and_by_steps(count, seed):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_stack_that_lands_as_one(seed):
-    """Nothing moves at first where its boxes touch; that slips, or is dragged along, as the floor brakes."""
+def test_landing_of_stack(seed):
+    """The boxes have no relative velocity at first; the upper one slips or is dragged along."""
     rng = np.random.default_rng([10, seed])
     (a, b), h, v = rng.uniform(0.05, 0.2, 2), rng.uniform(0.03, 0.1), rng.uniform(-0.5, 0.5, 2)
     corners = [np.array((x, y, -h)) for x in (-a, a) for y in (-b, b)]
@@ -155,7 +155,7 @@ def test_a_stack_that_lands_as_one(seed):
 
 
 def compare_with_steps(problem):
-    """Compare an impact that is followed from event to event with the same by steps."""
+    """Compare an impact integrated from event to event with the same impact by steps."""
     solution = solve_impact(problem)
     assert solution.events > 0
     by_steps = _propagate_in_steps(many_inputs(problem), 1.0, False, 1e-10)
@@ -163,12 +163,12 @@ def compare_with_steps(problem):
     assert solution.work.friction.sum() == pytest.approx(by_steps.work.friction.sum(), abs=1e-9)
 
 
-@pytest.mark.parametrize("off", [1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("unevenness", [1e-3, 1e-4, 1e-5, 1e-6])
 @pytest.mark.parametrize("seed", [2, 3])
-def test_slip_of_uneven_corners_is_followed_from_event_to_event(off, seed):
-    """It is as slow as they are uneven, and would turn in as short a time; short steps are independent."""
+def test_slow_slip_of_uneven_corners_by_events(unevenness, seed):
+    """The speed of slip and the time in which it turns are proportional to the unevenness."""
     rng = np.random.default_rng(seed)
-    corners = np.column_stack([BOX, np.full(4, -0.05)]) + 0.05 * off * rng.normal(size=(4, 3))
+    corners = np.column_stack([BOX, np.full(4, -0.05)]) + 0.05 * unevenness * rng.normal(size=(4, 3))
     w, jacobian = body(corners[:, :2], -corners[:, 2])
     u = np.array([*rng.uniform(-0.3, 0.3, 2), -1.0, *rng.uniform(-0.2, 0.2, 2), rng.uniform(-3.0, 3.0)])
     problem = ImpactProblem(w, (jacobian @ u).reshape(-1, 3), 0.6, 0.7, "energetic")
@@ -179,8 +179,8 @@ def test_slip_of_uneven_corners_is_followed_from_event_to_event(off, seed):
 
 
 @pytest.mark.parametrize("seed", [43, 204, 208, 241, 393, 493])
-def test_no_restitution_at_one_of_redundant_contacts_is_the_limit(seed):
-    """Slip begins at contacts that share their friction before one without restitution is at its peak."""
+def test_zero_restitution_at_one_of_redundant_contacts_is_a_limit(seed):
+    """Slip starts at contacts that share friction before the force without restitution has its maximum."""
     rng = np.random.default_rng([31, seed])
     n = (3, 4, 5)[seed % 3]
     corners = rng.uniform(-0.1, 0.1, (n, 3))[:, :2]
@@ -199,8 +199,8 @@ def test_no_restitution_at_one_of_redundant_contacts_is_the_limit(seed):
     assert fine == pytest.approx(0.1 * coarse, rel=0.05)
 
 
-def test_the_noted_accuracy_counts_what_still_approaches(monkeypatch):
-    # nearly symmetric, e = 0: values at e = 1e-3 and its halves are linear in e, but not those at e = 1e-5
+def test_noted_accuracy_includes_remaining_approach(monkeypatch):
+    # nearly symmetric, e = 0: results at e = 1e-3, 5e-4, … are linear in e, but those at e = 1e-5 are not
     corners = [
         (0.050004013, 0.049999246, -0.191287954),
         (0.049999667, -0.049993353, -0.191261358),
@@ -217,8 +217,8 @@ def test_the_noted_accuracy_counts_what_still_approaches(monkeypatch):
     assert -solution.velocity[:, 2].min() <= float(noted[1]) * np.abs(start).max() < 1e-5
 
 
-def test_slip_that_passes_zero_within_rounding_stops_or_turns_there():
-    """Corners uneven by 1e-12 m let it pass zero within 1e-12 m/s, unseen in series from far away."""
+def test_slip_that_passes_zero_within_rounding():
+    """With corners uneven by 1e-12 m slip passes zero at 1e-12 m/s, which series from afar do not resolve."""
     x, y, z = 0.1187182426, 0.0771322297, 0.1960095608
     uneven = 1e-12 * np.array([(0, 41, 20), (-5, -41, 21), (2, 48, 22), (-2, -43, 18)])
     corners = np.array([(x, y, -z), (x, -y, -z), (-x, y, -z), (-x, -y, -z)]) + uneven

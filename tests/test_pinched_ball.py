@@ -1,4 +1,4 @@
-"""A light ball between the floor and a heavy one that comes down: impacts one after another, exactly."""
+"""A light ball between the floor and a heavy ball that moves down, against an exact sequence of impacts."""
 
 import mpmath
 import numpy as np
@@ -11,7 +11,7 @@ from .scene_models import unbounded
 
 
 def exact(restitution, ratio, duration):
-    """Return the velocities of both, of which the gaps are 0.1 m at the start."""
+    """Return the final velocities of both balls; the initial gaps are 0.1 m."""
     with mpmath.workdps(300):
         e, heavy, left = mpmath.mpf(restitution), mpmath.mpf(ratio), mpmath.mpf(duration)
         gap, between, light, down = mpmath.mpf("0.1"), mpmath.mpf("0.1"), mpmath.mpf(0), mpmath.mpf(-1)
@@ -34,8 +34,8 @@ def exact(restitution, ratio, duration):
 @pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
 @pytest.mark.parametrize("place", [0.0, 128.0, 1e4])
 @pytest.mark.parametrize(("restitution", "ratio"), [(0.5, 100.0), (0.7, 10.0), (0.8, 25.0)])
-def test_a_ball_pinched_between_two_others(restitution, ratio, place):
-    """Gaps reach rounding while all is fast: what parts is open, and takes no part in the next impact."""
+def test_pinched_ball(restitution, ratio, place):
+    """Gaps decrease to rounding errors at high speeds; separating contacts do not affect the next impact."""
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
     for k, mass in enumerate((1.0, ratio)):
@@ -51,5 +51,5 @@ def test_a_ball_pinched_between_two_others(restitution, ratio, place):
     scene, v, right = Scene(model, contacts), np.array([0.0, -1.0]), exact(restitution, ratio, duration)
     run = simulate(scene, q, v, duration, scheme="event-driven")
     np.testing.assert_allclose(run.v[-1], right, rtol=0, atol=1e-9)
-    run = simulate(scene, q, v, duration, scheme="time-stepping", dt=1e-3)  # to about the resting speed
+    run = simulate(scene, q, v, duration, scheme="time-stepping", dt=1e-3)  # within about the resting speed
     np.testing.assert_allclose(run.v[-1], right, rtol=0, atol=1e-3)

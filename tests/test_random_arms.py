@@ -1,4 +1,4 @@
-"""Mechanisms that are singular or nearly so as Pinocchio forms them, against their own exact numbers."""
+"""Singular and nearly singular mechanisms, computed by Pinocchio, against multiple precision."""
 
 import dataclasses
 
@@ -30,14 +30,14 @@ from .reference.arms import Arm, _axes, _rotation
 from .reference.reference import solve_reference
 
 
-def test_random_arms_agree_with_their_exact_numbers():
+def test_random_arms_agree_with_multiple_precision():
     report = run(5, 15)
     assert report.impacts == 15
     assert report.uncovered <= 2
     assert [what for what, _ in report.violations] == []
 
 
-def test_many_arms_obey_mechanics_in_any_world():
+def test_many_arms_obey_mechanics_in_rotated_axes():
     report = many_arms.run(7, 3000)
     assert report.impacts == 3000
     assert [what for what, _ in report.violations] == []
@@ -45,8 +45,8 @@ def test_many_arms_obey_mechanics_in_any_world():
 
 
 @pytest.mark.parametrize(("change", "noticed"), [(1.0, False), (1.0 + 1e-9, True)])
-def test_the_run_of_many_notices(monkeypatch, change, noticed):
-    """Joint velocities that are wrong by 1e-9 do not fit the impulses."""
+def test_many_arms_detect_wrong_velocities(monkeypatch, change, noticed):
+    """Joint velocities with a relative error of 1e-9 violate the balance of momentum."""
     right = many_arms.solve
 
     def wrong(group):
@@ -59,8 +59,8 @@ def test_the_run_of_many_notices(monkeypatch, change, noticed):
     assert ("momentum" in {what for what, _ in report.violations}) is noticed
 
 
-def test_the_run_notices_a_wrong_arm(monkeypatch):
-    """A friction that is wrong by 1e-7 is a violation."""
+def test_random_arms_detect_wrong_friction(monkeypatch):
+    """A relative error of friction of 1e-7 is a violation."""
     arm = Arm((0.3, 0.7, -1.2), (0.2, 0.5, 0.7), (0.3, 0.8, -0.4), (1.0, -0.5, 0.2))
     arm = (
         arm if float(arm.contact_problem()[1][2]) < 0 else Arm(arm.rpy, arm.normal, arm.q, (-1.0, 0.5, -0.2))
@@ -76,7 +76,7 @@ def test_the_run_notices_a_wrong_arm(monkeypatch):
 
 
 def _tip_beside_the_plane(rng, joints):
-    """An arm, its base turned at random, whose tip can only move parallel to the plane."""
+    """Return a randomly oriented arm whose tip can only move parallel to the plane."""
     rpy = rng.uniform(-3, 3, 3)
     normal = pin.rpy.rpyToMatrix(*rpy)[:, 2]
     return Arm(
@@ -86,7 +86,7 @@ def _tip_beside_the_plane(rng, joints):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("joints", [1, 2, 3])
-def test_motion_parallel_to_the_plane_is_no_impact(joints, law):
+def test_motion_parallel_to_plane_is_no_impact(joints, law):
     rng = np.random.default_rng(joints)
     for _ in range(20):
         arm = _tip_beside_the_plane(rng, joints)
@@ -95,7 +95,7 @@ def test_motion_parallel_to_the_plane_is_no_impact(joints, law):
         assert hit.v.tolist() == list(arm.v)
 
 
-def test_an_approach_that_a_parallel_motion_cannot_stop_is_still_refused():
+def test_approach_of_surface_to_arm_that_moves_parallel_to_it_raises():
     arm = _tip_beside_the_plane(np.random.default_rng(0), 2)
     model = pin.buildModelFromXML(arm.urdf())
     plane = Plane(normal=arm.normal, velocity=tuple(1e-9 * np.array(arm.normal)))
@@ -104,8 +104,8 @@ def test_an_approach_that_a_parallel_motion_cannot_stop_is_still_refused():
 
 
 @pytest.mark.parametrize("joints", [2, 3])
-def test_no_impulse_across_the_plane_of_an_arm_out_of_noise(joints):
-    """The tip comes straight down, its v_t is some 1e-17: what the mechanism cannot feel is zero."""
+def test_no_impulse_perpendicular_to_plane_of_arm(joints):
+    """The tip moves straight down, and v_t is a rounding error of about 1e-17."""
     rng = np.random.default_rng(joints)
     for yaw in rng.uniform(-3, 3, 20):
         q = rng.uniform(0.3, 2.0, joints)
@@ -131,7 +131,7 @@ CANCELLED = ImpactProblem(
 )
 
 
-def test_a_velocity_small_by_cancellation_is_not_refused():
+def test_velocity_small_by_cancellation_has_a_solution():
     solution = solve_impact(CANCELLED)
     assert solution.velocity.tolist() == [0.0, 0.0, 0.0]
     assert np.abs(solution.impulse).max() < 1e-4
@@ -139,8 +139,8 @@ def test_a_velocity_small_by_cancellation_is_not_refused():
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scale", [True, False])
-def test_velocities_that_w_made_never_end_in_quotients_of_roundings(scale, law):
-    """v = W r, of rank one, as a matrix product rounds it; some of it small by cancellation."""
+def test_impulses_for_velocities_in_range_of_rank_one(scale, law):
+    """v = W r has rounding errors, and may be small by cancellation; impulses are no quotients of errors."""
     rng = np.random.default_rng(3)
     X = rng.standard_normal((50_000, 3, 1))
     W = X @ X.transpose(0, 2, 1)
@@ -151,7 +151,7 @@ def test_velocities_that_w_made_never_end_in_quotients_of_roundings(scale, law):
     mu, e = 10 ** rng.uniform(-1.5, 2.5, len(v)), rng.random(len(v))
     batch = solve_impacts(W, v, mu, e, law, velocity_scale=sizes if scale else None)
     assert (batch.status <= Status.LOCKED).all()
-    # an impact of rank one ends in slip or stick along the one direction there is
+    # at rank one all changes of velocity are along u
     u = X[:, :, 0]
     made = np.abs(np.sum(u * batch.velocity, axis=1) - np.sum(u * v, axis=1)) / np.sum(u * u, axis=1)
     assert np.abs(np.sum(u * batch.impulse, axis=1)) == pytest.approx(made, rel=1e-9, abs=1e-12)
@@ -172,7 +172,7 @@ NEARLY_PLANAR = ImpactProblem(
 )
 
 
-def test_a_nearly_planar_mechanism_keeps_its_digits():
+def test_accuracy_of_nearly_planar_mechanism():
     solution = solve_impact(NEARLY_PLANAR)
     p = NEARLY_PLANAR
     exact = solve_reference(p.delassus, p.velocity, p.friction, p.restitution, p.law)
@@ -182,8 +182,8 @@ def test_a_nearly_planar_mechanism_keeps_its_digits():
 
 
 @pytest.mark.parametrize("tilt", [1e-3, 1e-5, 1e-7, 1e-9, 4.9e-12])
-def test_tilted_arms_creep_as_their_exact_numbers_say(tilt):
-    """The plane of the arm leans by `tilt`: v_t never quite vanishes, and friction turns sideways."""
+def test_slow_slip_of_tilted_arms(tilt):
+    """The plane of the arm is tilted, so v_t does not vanish and friction turns out of the plane."""
     for seed in range(4):
         rng = np.random.default_rng(seed)
         arm = Arm((np.pi / 2 + tilt, 0.0, 0.0), (0.0, 0.0, 1.0), tuple(rng.uniform(0.3, 1.8, 2)), (1.0, -2.0))
@@ -195,11 +195,11 @@ def test_tilted_arms_creep_as_their_exact_numbers_say(tilt):
         hit = solve(Case("tilted", arm, 0.8, 0.5, "poisson"))
         size = float(exact.impulse[2])
         error = np.abs(hit.solution.impulse - [float(x) for x in exact.impulse]).max() / size
-        assert error <= 1e-12 + 4e-15 / tilt  # one rounding of the base angle is 2e-16 of the tilt
+        assert error <= 1e-12 + 4e-15 / tilt  # the base angle has a rounding error of 2e-16
 
 
-def test_v3_that_just_passes_zero_before_it_turns():
-    """The tip moves nearly parallel to the plane: v₃ rises to zero, a millionth beyond, and falls again."""
+def test_maximum_of_v3_just_above_zero():
+    """The tip moves nearly parallel to the plane: the maximum of v₃ is a millionth above zero."""
     arm = Arm(
         (-0.1702886459437738, -0.8561693184828377, 0.09848280984389923),
         (-0.7578243529637448, 0.09541705828585698, 0.6454439054194833),
@@ -213,8 +213,8 @@ def test_v3_that_just_passes_zero_before_it_turns():
     assert solution.velocity == pytest.approx([float(x) for x in exact.velocity], rel=1e-6, abs=1e-15)
 
 
-def test_an_approach_across_rank_one_is_refused_in_all_axes():
-    """Slip turns to where nothing acts: no force may be left there by rounding, whatever the axes."""
+def test_unstoppable_approach_at_rank_one_in_rotated_axes():
+    """Slip turns to a direction of zero force; rounding errors must not leave a force, in any axes."""
     W = np.array(
         [
             [0.8861422875255425, 0.3154149258118694, 0.037517440739397986],
@@ -230,12 +230,12 @@ def test_an_approach_across_rank_one_is_refused_in_all_axes():
 
 
 def near_singular(miss: float) -> Case:
-    """A wrist that misses its singular posture by an angle, in a stick that strains the weak direction."""
+    """Return an impact of a wrist near a singular posture, which sticks and loads the weak direction."""
     twists = ((np.pi / 2, 0.0, 0.4), (-np.pi / 2, 0.3, 0.0))
     arm = Arm((0.3, -0.8, 0.5), (0.0, 0.0, 1.0), (0.4, 0.9, 0.0), (0.6, -0.3, 0.8), twists)
     q = many_arms.singular(arm, np.array([arm.q]))
     directions = np.linalg.svd(many_arms.kinematics(arm, q)[0][0])[0]
-    normal = directions @ [0.2, 0.3, 1.0]  # the last cannot yield
+    normal = directions @ [0.2, 0.3, 1.0]  # the last is the weak direction
     q += [0.0, 0.0, miss]
     directions, _, rates = np.linalg.svd(many_arms.kinematics(arm, q)[0][0])
     v = -np.sign(normal @ directions) @ rates  # approaches along each direction
@@ -244,8 +244,8 @@ def near_singular(miss: float) -> Case:
 
 
 @pytest.mark.parametrize("miss", [1e-5, 1e-8, 1e-11])
-def test_a_weak_direction_has_its_digits_from_the_factor(miss):
-    """The roots of W's eigenvalues span more than W shows: impulses of 1/miss are right to ε/miss."""
+def test_accuracy_in_weak_direction_by_factor_of_W(miss):
+    """With the factor of W, impulses of the order of 1/miss have relative errors of the order of ε/miss."""
     case = near_singular(miss)
     W, v, _ = case.arm.contact_problem()
     exact = solve_reference(W, v, case.friction, case.restitution, case.law)
@@ -267,8 +267,8 @@ def test_a_weak_direction_has_its_digits_from_the_factor(miss):
     assert rows.work.compression[0] == pytest.approx(hit.solution.work.compression, rel=1e-14)
 
 
-def test_a_leaning_arm_that_is_nearly_stretched_out_creeps_as_its_exact_numbers_say():
-    """The weaker of its two directions is 1e-3 of the other, and its plane leans by 1e-10 from the floor."""
+def test_slow_slip_of_nearly_stretched_arm():
+    """The weaker direction is 1e-3 of the other, and the plane of the arm is 1e-10 from the floor."""
     rpy = (0.4, -0.7, 0.2)
     normal = pin.rpy.rpyToMatrix(*rpy) @ [np.sin(1e-10), 0.0, np.cos(1e-10)]
     arm = Arm(rpy, tuple(normal), (0.3, 1e-3), (1.0, -2.0))
@@ -282,11 +282,11 @@ def test_a_leaning_arm_that_is_nearly_stretched_out_creeps_as_its_exact_numbers_
     assert hit.solution.impulse == pytest.approx(P, rel=1e-3)
 
 
-def test_an_arm_weak_in_two_directions_creeps_until_its_exact_numbers_stop_it():
-    """Within 1e-7 of being stretched and of lying along the floor, where forces are 1e-15 of A's.
+def test_arm_weak_in_two_directions_locks_after_slow_slip():
+    """The arm is within 1e-7 of stretched and of parallel to the floor, so forces are 1e-15 of those of A.
 
-    Slip dies out like the 3.7e-15th power of its angle to an invariant direction; impulses are 1e7 times
-    the common ones.
+    Slip decreases as its angle to an invariant direction to the power of 3.7e-15, and impulses are 1e7 times
+    as large as usual.
     """
     tilt, stretch = 1.050433347286944e-08, 6.204527366365593e-08
     arm = Arm((0.0, 0.0, 0.0), (tilt, 0.0, 1.0), (-1.3855791555045882, stretch), (-1.36308, 1.30135))
@@ -302,8 +302,8 @@ def test_an_arm_weak_in_two_directions_creeps_until_its_exact_numbers_stop_it():
 
 @pytest.mark.parametrize("joints", [3, 25])
 @pytest.mark.parametrize("lightest", [1.0, 1e-4])
-def test_what_a_planar_chain_is_formed_from_does_not_grow_with_its_joints(joints, lightest):
-    """Its W has rank two, which 25 joints must not hide, and what acts in its plane is no rounding."""
+def test_rank_of_planar_chain(joints, lightest):
+    """W has rank two; its tolerance must neither miss this for 25 joints nor include forces in the plane."""
     rng = np.random.default_rng(joints)
     model, parent, turned = pin.Model(), 0, pin.rpy.rpyToMatrix(0.4, -1.1, 0.7)
     for k, mass in enumerate(np.geomspace(1.0, lightest, joints)):
@@ -332,21 +332,21 @@ def test_what_a_planar_chain_is_formed_from_does_not_grow_with_its_joints(joints
     ("factor", "message"),
     [(2 * np.eye(3), "which is not W"), (np.eye(2), "shape"), (np.full((3, 3), np.nan), "not finite")],
 )
-def test_a_factor_that_is_not_w_s_is_refused(factor, message):
+def test_wrong_factor_raises(factor, message):
     with pytest.raises(InputError, match=message) as caught:
         solve_impact(ImpactProblem(np.eye(3), (1, 0, -1), 0.3, 0.5, factor=factor))
     assert caught.value.field == "factor"
 
 
 @pytest.mark.parametrize("scale", [-1.0, np.nan, "fast"])
-def test_the_scale_of_the_velocity_is_checked(scale):
+def test_invalid_velocity_scale_raises(scale):
     with pytest.raises(InputError, match="velocity_scale") as caught:
         solve_impact(ImpactProblem(np.eye(3), (1, 0, -1), 0.3, 0.5, velocity_scale=scale))
     assert caught.value.field == "velocity_scale"
 
 
 def _weak_twice(rng):
-    """A problem in axes along and across its weak direction, W = XXᵀ, with v₃ tied to v_t: exactly."""
+    """Return a problem W = XXᵀ of rank two, weak in two directions, and exact W and v in its range."""
     strong, weak, lift = 0.5 + rng.random(), 10.0 ** rng.uniform(-13, -5), 10.0 ** rng.uniform(-9, 0)
     k1, k2 = lift * rng.standard_normal(2)
     X = np.array([[strong, 0.0], [0.0, weak], [strong * k1, weak * k2]])
@@ -356,14 +356,14 @@ def _weak_twice(rng):
         v3 = F[2, 0] / F[0, 0] * v[0] + F[2, 1] / F[1, 1] * v[1]
         if v3 > 0:
             v, v3 = -v, -v3
-        W, tied = (F * F.T).tolist(), (mp.mpf(v[0]), mp.mpf(v[1]), v3)
+        W, exact = (F * F.T).tolist(), (mp.mpf(v[0]), mp.mpf(v[1]), v3)
     v[2] = float(v3)
     mu, e, law = 10.0 ** rng.uniform(-1.5, 1), float(rng.choice([0.0, 1.0, 0.6])), str(rng.choice(LAWS))
-    return ImpactProblem(X @ X.T, v, mu, e, law, velocity_scale=1.0, factor=X), W, tied
+    return ImpactProblem(X @ X.T, v, mu, e, law, velocity_scale=1.0, factor=X), W, exact
 
 
-def test_impacts_weak_in_two_directions_are_right_in_contact_space():
-    """Slip creeps with 1e-26 of the common forces, and v₃ changes by what is left of c − μbᵀσ."""
+def test_accuracy_of_problems_weak_in_two_directions():
+    """Forces along the slip are 1e-26 of the usual ones, and v₃ changes by a difference c − μbᵀσ."""
     rng = np.random.default_rng(2)
     for _ in range(60):
         problem, W, v = _weak_twice(rng)
@@ -418,7 +418,7 @@ def test_impacts_weak_in_two_directions_are_right_in_contact_space():
         ),
     ],
 )
-def test_arms_weak_in_two_directions_are_not_refused(case, rel):
+def test_arms_weak_in_two_directions_have_solutions(case, rel):
     W, v, _ = case.arm.contact_problem()
     exact = solve_reference(W, v, case.friction, case.restitution, case.law)
     solution = solve(case).solution
@@ -426,8 +426,8 @@ def test_arms_weak_in_two_directions_are_not_refused(case, rel):
     assert solution.impulse[2] == pytest.approx(float(exact.impulse[2]), rel=rel)
 
 
-def test_a_row_of_the_jacobian_has_rounding_of_its_own_size():
-    """An arm along the floor moves up by the same small angle with each of its joints."""
+def test_rounding_errors_of_a_row_of_the_jacobian_are_relative_to_it():
+    """The plane of the arm is tilted by a small angle from the floor, so the normal row is small."""
     rpy, tilt = (0.4, -0.7, 0.2), 3e-10
     normal = pin.rpy.rpyToMatrix(*rpy) @ [np.sin(tilt), 0.0, np.cos(tilt)]
     arm = Arm(rpy, tuple(normal), (0.3, -0.8, 1.1), (1.0, -2.0, 0.5))
@@ -439,16 +439,15 @@ def test_a_row_of_the_jacobian_has_rounding_of_its_own_size():
         x, y = (_axes(arm.normal) * _rotation(rpy))[2, 0:2]
         rows = [x * J[0, j] + y * J[1, j] for j in range(3)]
         exact = [float(row / rows[0]) for row in rows]
-        # how far the computed angles are from the exact ones is one number (2) for all joints
-    made = matrices.h / matrices.h[0]
-    assert made == pytest.approx(exact, rel=1e-5)
+    assert matrices.h / matrices.h[0] == pytest.approx(exact, rel=1e-5)
+    # the error of the tilt is common to all joints: the row is a combination of the two exact planar ones
     planar = np.array(J.tolist(), dtype=float)
-    left = np.linalg.lstsq(planar.T, matrices.h, rcond=None)[0] @ planar - matrices.h
-    assert np.abs(left).max() < 1e-14 * np.abs(matrices.h).max()
+    residual = np.linalg.lstsq(planar.T, matrices.h, rcond=None)[0] @ planar - matrices.h
+    assert np.abs(residual).max() < 1e-14 * np.abs(matrices.h).max()
 
 
-def test_the_rows_are_those_of_any_joint():
-    """Of axes that turn, that slide, of both at once, and of a free base."""
+def test_rows_of_the_jacobian_for_all_kinds_of_joints():
+    """The joints are revolute, prismatic, planar and free."""
     pin.seed(0)
     model, parent = pin.Model(), 0
     joints = [pin.JointModelFreeFlyer(), pin.JointModelPX(), pin.JointModelPlanar(), pin.JointModelRY()]

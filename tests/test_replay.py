@@ -1,4 +1,4 @@
-"""Replays: what is in the page, that it needs nothing else, and what a browser makes of it."""
+"""Replays: contents of the page, its independence of other files, and its appearance in a browser."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from .scene_models import shaped_body
 umsgpack = pytest.importorskip("umsgpack")
 
 BROWSER = find_browser()
-in_a_browser = pytest.mark.skipif(BROWSER is None, reason="there is no browser to look at the page with")
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no browser was found")
 
 FLOOR = pinimpact.Plane()
 
 
 @pytest.fixture(scope="module")
 def fall():
-    """A rod whose tip strikes the floor, bounces, and comes to rest there while the rod topples."""
+    """Return a rod and its motion: the tip bounces on the floor and comes to rest, then the rod topples."""
     robot = pinimpact.load_robot("rod")
     tip = pinimpact.Contact("tip", FLOOR, friction=0.6, restitution=0.3, name="tip")
     scene = pinimpact.Scene(robot, [tip], without=["joint limits"])
@@ -66,8 +66,8 @@ def commands_of(shown) -> list[dict]:
     return found
 
 
-def looked_at(shown, fragment: str) -> tuple[dict[str, str], list[str]]:
-    """Return the page's data and the rows of its overlay; it has to open without errors."""
+def open_in_browser(shown, fragment: str) -> tuple[dict[str, str], list[str]]:
+    """Open a page, check that it has no errors, and return its data attributes and rows of its overlay."""
     opened = open_page(BROWSER, shown, fragment)
     data = dict(re.findall(r'data-([a-z]+)="([^"]*)"', opened.dom.split(">", 2)[1] + ">"))
     assert data["errors"] == "[]"
@@ -78,14 +78,14 @@ def looked_at(shown, fragment: str) -> tuple[dict[str, str], list[str]]:
     return data, [html.unescape(row) for row in rows]
 
 
-def test_the_page_loads_nothing(page) -> None:
+def test_page_loads_no_other_files(page) -> None:
     text = page.path.read_text(encoding="utf-8")
     assert text == page.html
     assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=", text)
     assert text.count("<script") == text.count("</script>") == 5
 
 
-def test_frames_are_the_motion(fall, page) -> None:
+def test_frames_agree_with_motion(fall, page) -> None:
     robot, trajectory = fall
     motion = motion_of(page)
     times = numbers(motion["times"], "<f8")
@@ -104,7 +104,7 @@ def test_frames_are_the_motion(fall, page) -> None:
             np.testing.assert_allclose(turned, data.oMi[joint].rotation, atol=1e-6)
 
 
-def test_shapes_stand_at_their_place_in_the_axes_of_their_joint(fall, page) -> None:
+def test_placements_of_shapes_are_relative_to_their_joints(fall, page) -> None:
     robot, _ = fall
     placed = {
         command["path"]: np.array(command["matrix"]).reshape(4, 4).T
@@ -116,7 +116,7 @@ def test_shapes_stand_at_their_place_in_the_axes_of_their_joint(fall, page) -> N
         np.testing.assert_allclose(place, shape.placement.homogeneous, atol=1e-12)
 
 
-def test_impacts_have_their_impulse_velocities_and_numbers(fall, page) -> None:
+def test_impulses_velocities_and_energy_of_impacts(fall, page) -> None:
     robot, trajectory = fall
     shown = motion_of(page)["impacts"]
     assert len(shown) == len(trajectory.impacts) > 1
@@ -139,7 +139,7 @@ def test_impacts_have_their_impulse_velocities_and_numbers(fall, page) -> None:
         np.testing.assert_allclose(mark["impulse"][-1] @ axes, impact.impulse_world, rtol=1e-5, atol=1e-9)
 
 
-def test_forces_are_those_of_the_motion(fall, page) -> None:
+def test_forces_agree_with_motion(fall, page) -> None:
     _, trajectory = fall
     motion = motion_of(page)
     (contact,) = motion["contacts"]
@@ -163,7 +163,7 @@ def fall_of(robot, surface) -> pinimpact.visual.html_replay.Replay:
     return pinimpact.replay(robot, trajectory, None)
 
 
-def test_surfaces_of_the_world_lie_under_the_way_of_their_contacts() -> None:
+def test_fixed_surfaces_lie_under_the_paths_of_their_contacts() -> None:
     robot = pinimpact.load_robot("rod")
     plane = pinimpact.Plane((0, 0, 0.1), (0, 0.6, 0.8))
     motion = motion_of(fall_of(robot, plane))
@@ -171,9 +171,9 @@ def test_surfaces_of_the_world_lie_under_the_way_of_their_contacts() -> None:
     assert (plate["kind"], plate["joint"]) == ("plane", 0)
     matrix = np.array(plate["matrix"]).reshape(4, 4).T
     np.testing.assert_allclose(matrix[:3, 2], plane.normal, atol=1e-6)
-    way = numbers(motion["contacts"][0]["path"]).reshape(-1, 3)
-    assert len(way) > 5
-    for point in way:
+    path = numbers(motion["contacts"][0]["path"]).reshape(-1, 3)
+    assert len(path) > 5
+    for point in path:
         foot = point - np.dot(plane.normal, point - np.array(plane.point)) * np.array(plane.normal)
         local = np.linalg.solve(matrix, [*foot, 1.0])[:3]
         assert (np.abs(local) <= 0.5 * np.array(plate["size"]) + 1e-6).all()
@@ -183,8 +183,8 @@ def test_surfaces_of_the_world_lie_under_the_way_of_their_contacts() -> None:
     np.testing.assert_allclose(np.array(ball["matrix"]).reshape(4, 4).T[:3, 3], (1, 2, 3))
 
 
-def test_material_that_moves_is_drawn_as_it_moves() -> None:
-    """A belt, a turntable and a ball: what is drawn moves as contacts feel it."""
+def test_moving_surfaces_are_drawn_with_their_velocity() -> None:
+    """The drawn motion of a belt, a turntable and a ball is the surface velocity at contacts."""
     robot = pinimpact.load_robot("rod")
     data = robot.model.createData()
     for surface in (
@@ -196,10 +196,10 @@ def test_material_that_moves_is_drawn_as_it_moves() -> None:
         matrix = np.array(drawn["matrix"]).reshape(4, 4).T
         contact = pinimpact.Contact("tip", surface)
         q = np.array([0.3, 1.1, 1.2, 0.0, 0.5])
-        felt = contact_geometry(robot.model, data, q, contact)
-        on = felt.point - matrix[:3, 3]
+        expected = contact_geometry(robot.model, data, q, contact)
+        on = expected.point - matrix[:3, 3]
         here = matrix[:3, :3] @ drawn["slide"] + np.cross(matrix[:3, :3] @ drawn["spin"], on)
-        np.testing.assert_allclose(here, felt.surface_velocity @ felt.axes, atol=1e-6)
+        np.testing.assert_allclose(here, expected.surface_velocity @ expected.axes, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
@@ -235,7 +235,7 @@ def test_surfaces_on_bodies_move_with_them(kind) -> None:
             assert (np.abs(off[:2]) < 0.5 * np.array(shown["size"][:2])).all()
 
 
-def test_a_bare_model_is_drawn_in_lines(fall) -> None:
+def test_model_without_shapes_is_drawn_in_lines(fall) -> None:
     robot, trajectory = fall
     motion = motion_of(pinimpact.replay(robot.model, trajectory, None))
     sliding = sum("P" in joint.shortname() for joint in robot.model.joints)  # how the rod's base moves
@@ -250,7 +250,7 @@ def test_a_bare_model_is_drawn_in_lines(fall) -> None:
     )
 
 
-def test_trajectories_know_their_contacts(fall, tmp_path: Path) -> None:
+def test_saved_trajectory_has_its_contacts(fall, tmp_path: Path) -> None:
     robot, trajectory = fall
     trajectory.save(tmp_path / "fall.npz")
     loaded = pinimpact.Trajectory.load(tmp_path / "fall.npz")
@@ -274,10 +274,10 @@ def test_contacts_of_every_kind_are_saved(tmp_path: Path) -> None:
     head, tip = pinimpact.Trajectory.load(tmp_path / "x.npz").contacts
     assert tip == trajectory.contacts[1]
     assert (head.plane, head.offset, head.radius, head.name) == (ball, (0.1, 0, 0), 0.01, "head")
-    assert head.restitution == 0.0  # a function is not kept
+    assert head.restitution == 0.0  # functions are not saved
 
 
-def test_one_impact_beside_the_robot(fall) -> None:
+def test_single_impact_with_and_without_robot(fall) -> None:
     robot, trajectory = fall
     record = trajectory.impacts[0]
     hit = pinimpact.impact(robot.model, robot.data, record.q, record.v_before, trajectory.contacts[0])
@@ -291,7 +291,7 @@ def test_one_impact_beside_the_robot(fall) -> None:
         (mark,) = motion["impacts"][0]["contacts"]
         np.testing.assert_allclose(mark["impulse"][-1], hit.solution.impulse, rtol=1e-6)
         v, p = np.array(mark["velocity"]), np.array(mark["impulse"])
-        np.testing.assert_allclose(v, v[0] + p @ hit.problem.delassus, atol=1e-5)  # v = v° + W P all along
+        np.testing.assert_allclose(v, v[0] + p @ hit.problem.delassus, atol=1e-5)  # v = v° + W P
         assert len(v) > 10
     assert alone["surfaces"] == alone["joints"] == alone["contacts"] == [] or not alone["joints"]
     with pytest.raises(pinimpact.InputError, match="q: None given; a hit does not contain"):
@@ -300,7 +300,7 @@ def test_one_impact_beside_the_robot(fall) -> None:
         pinimpact.replay(robot, record, None)
 
 
-def test_one_impact_at_many_contacts() -> None:
+def test_single_impact_at_several_contacts() -> None:
     robot = pinimpact.load_robot("solo12")
     feet = [
         pinimpact.Contact(f, FLOOR, 0.5, 0.3, "energetic", name=f) for f in ("FL_FOOT", "FR_FOOT", "HL_FOOT")
@@ -330,7 +330,7 @@ def test_one_impact_at_many_contacts() -> None:
         pinimpact.replay(robot, hit, None)
 
 
-def test_replay_refuses(fall) -> None:
+def test_invalid_arguments_raise(fall) -> None:
     robot, trajectory = fall
     with pytest.raises(pinimpact.InputError, match=r"speed: 0\.0"):
         pinimpact.replay(robot, trajectory, None, speed=0.0)
@@ -356,7 +356,7 @@ def test_replay_refuses(fall) -> None:
         pinimpact.replay(robot, trajectory, None, contacts=[absent])
 
 
-def test_a_replay_shows_itself(fall, page, monkeypatch, tmp_path: Path) -> None:
+def test_replay_in_notebook_and_browser(fall, page, monkeypatch, tmp_path: Path) -> None:
     frame = page._repr_html_()
     (inner,) = re.findall(r'<iframe srcdoc="([^"]*)"', frame)
     assert html.unescape(inner) == page.html
@@ -373,7 +373,7 @@ def test_a_replay_shows_itself(fall, page, monkeypatch, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def dropped():
-    """A barrel with a knob that bounces on a rim once and flies on, and one that comes to lie there."""
+    """Return a barrel with a knob, and its motion: it falls on its side and both rims strike the floor."""
     robot = shaped_body(coal.Cylinder(0.1, 0.3), pin.Inertia.FromCylinder(1.0, 0.1, 0.3))
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
     shapes = robot.collision_model
@@ -385,7 +385,7 @@ def dropped():
     return robot, pinimpact.simulate(scene, [0, 0, 0.2, *lying], np.zeros(6), 0.35)
 
 
-def test_shapes_are_lit_while_they_touch(dropped, tmp_path: Path) -> None:
+def test_shapes_are_highlighted_during_contact(dropped, tmp_path: Path) -> None:
     robot, trajectory = dropped
     shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html")
     (lit,) = motion_of(shown)["lit"]  # the knob touches nothing
@@ -396,7 +396,7 @@ def test_shapes_are_lit_while_they_touch(dropped, tmp_path: Path) -> None:
     corners = numbers(lit["triangles"]).reshape(-1, 3)
     assert np.abs(corners[:, 2]) == pytest.approx(np.full(len(corners), 0.15), abs=1e-6)
     assert np.hypot(corners[:, 0], corners[:, 1]) == pytest.approx(np.full(len(corners), 0.1), abs=1e-6)
-    # the way of a contact is drawn where it touches
+    # paths are drawn for these contacts only
     assert [one["name"] for one in motion_of(shown)["contacts"]] == [
         "thing_0 rim 1 on plane",
         "thing_0 rim 2 on plane",
@@ -405,9 +405,9 @@ def test_shapes_are_lit_while_they_touch(dropped, tmp_path: Path) -> None:
     assert motion_of(bare)["lit"] == []
 
 
-@in_a_browser
+@needs_browser
 @pytest.mark.slow
-def test_a_browser_shows_what_is_lit(dropped, tmp_path: Path) -> None:
+def test_highlighted_shapes_in_browser(dropped, tmp_path: Path) -> None:
     robot, trajectory = dropped
     shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html", slowdown=1.0)
     seen = []
@@ -419,20 +419,20 @@ def test_a_browser_shows_what_is_lit(dropped, tmp_path: Path) -> None:
 
 
 def is_yellow(pixels: np.ndarray) -> np.ndarray:
-    """Which pixels are of the colour of what is lit, over whatever it shines through."""
+    """Return which pixels have the colour of highlighted shapes, blended with any background."""
     red, green, blue = (pixels[..., k] for k in range(3))
     return (red > blue + 0.2) & (green > blue + 0.2) & (abs(red - green) < 0.12)
 
 
 @pytest.mark.slow
-def test_a_panda_with_its_meshes_stays_small() -> None:
+def test_size_of_replay_with_meshes() -> None:
     robot = pinimpact.load_robot("panda")
     trajectory = pinimpact.simulate(pinimpact.Scene(robot), robot.q0, np.zeros(9), 0.5)
     assert len(pinimpact.replay(robot, trajectory, None).html) < 20e6
 
 
 def film_length(motion: dict) -> float:
-    """Return how long a film is, by Simpson's rule."""
+    """Return the duration of a film in which impacts are slowed down, by Simpson's rule."""
     times = numbers(motion["times"], "<f8")
     fine = np.linspace(times[0], times[-1], 200001)
     slow = [impact["time"] for impact in motion["impacts"] if impact["slow"]]
@@ -445,18 +445,18 @@ def film_length(motion: dict) -> float:
     return float(weights @ rate) * (fine[1] - fine[0]) / 3.0 / motion["speed"] + motion["hold"] * len(slow)
 
 
-@in_a_browser
-def test_a_browser_plays_it_to_the_end(fall, page) -> None:
+@needs_browser
+def test_browser_plays_motion_to_its_end(fall, page) -> None:
     _, trajectory = fall
     motion = motion_of(page)
     first = trajectory.impacts[0]
-    data, rows = looked_at(page, f"t={0.5 * first.time}")
+    data, rows = open_in_browser(page, f"t={0.5 * first.time}")
     assert float(data["duration"]) == pytest.approx(film_length(motion), rel=2e-3)
     assert int(data["tracks"]) == len(motion["joints"])
     assert int(data["frames"]) == len(numbers(motion["times"], "<f8"))
     assert rows == [f"t = {0.5 * first.time:.4f} s", "free"]
 
-    _, rows = looked_at(page, "impact=1")
+    _, rows = open_in_browser(page, "impact=1")
     segment = first.solution.segments[-1]
     number = f"impact 1 of {len(trajectory.impacts)}"
     assert rows[:2] == [f"t = {first.time:.4f} s", f"tip: {segment.mode} in {segment.phase}"]
@@ -469,7 +469,7 @@ def test_a_browser_plays_it_to_the_end(fall, page) -> None:
     lost = float(re.fullmatch(r"energy lost (\S+) J", rows[5])[1])
     assert lost == pytest.approx(-first.solution.work.total, rel=5e-3)
 
-    data, rows = looked_at(page, "t=0.6")
+    data, rows = open_in_browser(page, "t=0.6")
     assert float(data["time"]) == pytest.approx(0.6, abs=1e-9)
     assert rows[0] == "t = 0.6000 s"
     mode = trajectory.mode_at("tip", 0.6)
@@ -479,18 +479,18 @@ def test_a_browser_plays_it_to_the_end(fall, page) -> None:
 
 
 def colored(pixels: np.ndarray, color: str) -> int:
-    """Return how many pixels have a colour, #rrggbb, to a twentieth."""
+    """Return the number of pixels of a colour, #rrggbb, within 0.05 of each component."""
     wanted = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
     return int((np.abs(pixels - wanted).max(axis=-1) < 0.05).sum())
 
 
-@in_a_browser
-def test_a_browser_shows_robot_surface_and_impact(page, tmp_path: Path) -> None:
+@needs_browser
+def test_browser_shows_robot_surface_and_impact(page, tmp_path: Path) -> None:
     def pixels(fragment: str) -> np.ndarray:
         picture = tmp_path / "page.png"
         open_page(BROWSER, page, fragment, size=(800, 500), screenshot=picture)
         view = imread(picture)[50:450, 250:, :3].copy()
-        view[:220, 280:] = 1.0  # what the hodograph may cover
+        view[:220, 280:] = 1.0  # the hodograph may cover this part
         return view
 
     before, at = pixels("t=0.05"), pixels("impact=1")
@@ -504,8 +504,8 @@ def test_a_browser_shows_robot_surface_and_impact(page, tmp_path: Path) -> None:
     assert colored(at, after) > 30
 
 
-@in_a_browser
-def test_the_robot_fills_the_window_beside_the_panels(page, tmp_path: Path) -> None:
+@needs_browser
+def test_robot_fills_window_beside_panels(page, tmp_path: Path) -> None:
     wide, tall = 800, 500
     bare = tmp_path / "bare.html"
     bare.write_text(page.html.replace(".panel {", ".panel { visibility: hidden;"), encoding="utf-8")
@@ -522,23 +522,23 @@ def test_the_robot_fills_the_window_beside_the_panels(page, tmp_path: Path) -> N
     assert max(np.ptp(rows) / (tall - 56), np.ptp(columns) / (wide - left)) > 0.6
 
 
-@in_a_browser
+@needs_browser
 @pytest.mark.parametrize("tall", [340, 460, 900])
-def test_the_words_of_an_impact_are_whole_in_any_window(page, tmp_path: Path, tall: int) -> None:
-    told = """<script>setInterval(() => {
+def test_text_of_impact_is_not_cut_off_in_any_window(page, tmp_path: Path, tall: int) -> None:
+    probe = """<script>setInterval(() => {
       const words = document.getElementById("overlay");
       document.body.dataset.cut = words.scrollHeight > words.clientHeight + 1;
       document.body.dataset.inset = !document.getElementById("hodograph").hidden;
     }, 100);</script></body>"""
-    asked = tmp_path / "asked.html"
-    asked.write_text(page.html.replace("</body>", told), encoding="utf-8")
-    dom = open_page(BROWSER, asked, "impact=1", size=(800, tall)).dom
+    probed = tmp_path / "probed.html"
+    probed.write_text(page.html.replace("</body>", probe), encoding="utf-8")
+    dom = open_page(BROWSER, probed, "impact=1", size=(800, tall)).dom
     assert 'data-cut="false"' in dom
     assert f'data-inset="{str(tall == 900).lower()}"' in dom or tall == 460
 
 
-def test_a_grid_lies_under_a_base_that_would_float() -> None:
-    """A ball of 0.1 m falls from 1 m onto a table at 0.5 m beside a post: the grid is at the lowest point."""
+def test_grid_at_lowest_point() -> None:
+    """A ball falls onto a table at a height of 0.5 m, next to a post; the grid is at the foot of the post."""
     robot = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1))
     robot.visual_model = pin.GeometryModel()
     post = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.2]))
@@ -561,31 +561,31 @@ def test_a_grid_lies_under_a_base_that_would_float() -> None:
             assert np.reshape(matrix, (4, 4)).T[2, 3] == pytest.approx(0.0, abs=1e-9)  # the foot of the post
     colors = [c["object"]["materials"][0]["color"] for c in commands if c["type"] == "set_object"]
     assert len(colors) == 2
-    for color in colors:  # both have none of their own
+    for color in colors:  # the default gray, since neither shape has a colour
         red, green, blue = color >> 16, color >> 8 & 255, color & 255
         assert min(red, green, blue) > 100
         assert max(red, green, blue) - min(red, green, blue) < 20
-    assert not any(shape.meshColor[:3].any() for shape in robot.visual_model.geometryObjects)  # as it was
+    assert not any(shape.meshColor[:3].any() for shape in robot.visual_model.geometryObjects)  # unchanged
 
 
-@in_a_browser
-def test_points_of_the_same_two_bodies_are_named_once(tmp_path: Path) -> None:
+@needs_browser
+def test_contacts_of_two_bodies_are_listed_in_one_row(tmp_path: Path) -> None:
     box = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2))
     scene = pinimpact.Scene(box).contacts_from_geometry(FLOOR, friction=0.5, restitution=0.0)
     q = np.array([0, 0, 0.1, 0, 0, 0, 1.0])
     shown = pinimpact.replay(box, pinimpact.simulate(scene, q, np.zeros(6), 0.1), tmp_path / "box.html")
-    _, rows = looked_at(shown, "t=0.05")
+    _, rows = open_in_browser(shown, "t=0.05")
     assert rows == ["t = 0.0500 s", "thing_0 on plane: stick (4 points)"]
 
 
-@in_a_browser
-def test_a_browser_shows_one_impact(fall, tmp_path: Path) -> None:
+@needs_browser
+def test_browser_shows_single_impact(fall, tmp_path: Path) -> None:
     robot, trajectory = fall
     record = trajectory.impacts[0]
     hit = pinimpact.impact(robot.model, robot.data, record.q, record.v_before, trajectory.contacts[0])
     for shown in (pinimpact.replay(robot, hit, None, q=record.q), pinimpact.replay(hit, path=None)):
         shown.save(tmp_path / "hit.html")
-        data, rows = looked_at(shown, "film=4")
+        data, rows = open_in_browser(shown, "film=4")
         assert float(data["duration"]) == 8.0
         middle = 0.5 * hit.solution.impulse[2]
         (segment,) = [s for s in hit.solution.segments if s.start <= middle < s.end]
@@ -593,9 +593,9 @@ def test_a_browser_shows_one_impact(fall, tmp_path: Path) -> None:
         assert float(re.fullmatch(r"P₃ = (\S+) of .* N s", rows[1])[1]) == pytest.approx(middle, abs=6e-4)
 
 
-@in_a_browser
+@needs_browser
 @pytest.mark.slow
-def test_a_film_is_written_as_gif(fall, tmp_path: Path) -> None:
+def test_film_as_gif(fall, tmp_path: Path) -> None:
     from PIL import Image
 
     shown = pinimpact.replay(*fall, None, slowdown=1.0)  # a film of 0.6 s
@@ -612,7 +612,7 @@ def test_a_film_is_written_as_gif(fall, tmp_path: Path) -> None:
         assert shown.video(tmp_path / "fall.mp4", rate=10, size=(320, 240)).stat().st_size > 1000
 
 
-def test_films_need_their_tools(fall, tmp_path: Path, monkeypatch) -> None:
+def test_film_without_its_tools_raises(fall, tmp_path: Path, monkeypatch) -> None:
     shown = pinimpact.replay(*fall, None)
     with pytest.raises(pinimpact.InputError, match=r"'x\.avi' given"):
         shown.video(tmp_path / "x.avi")
@@ -642,8 +642,8 @@ def test_meshes_are_split_by_material() -> None:
         assert bound == pieces[instance.get("url").lstrip("#")]
 
 
-def test_numbers_of_meshes_are_rounded_where_nobody_sees_it() -> None:
-    """Positions to 5 digits, normals to 3 (relative half units 5e-5 and 5e-3), and less text."""
+def test_numbers_of_meshes_are_rounded() -> None:
+    """Positions have 5 digits and normals 3: relative errors of at most 5e-5 and 5e-3."""
     exact = np.random.default_rng(1).normal(size=(2, 30))
     sources = "".join(
         f'<source id="{name}"><float_array>{" ".join(map(repr, row.tolist()))}</float_array></source>'
@@ -662,7 +662,7 @@ def test_numbers_of_meshes_are_rounded_where_nobody_sees_it() -> None:
 
 
 def test_all_triangles_have_texture_coordinates_or_none() -> None:
-    """The viewer refuses a mixture; what is added points at zeros, of a source that is long enough."""
+    """The viewer rejects a mixture; added coordinates refer to a source of zeros of sufficient length."""
     points = (
         '<source id="{0}s"><technique_common><accessor count="3" stride="3"/></technique_common></source>'
     )
@@ -689,8 +689,8 @@ def test_all_triangles_have_texture_coordinates_or_none() -> None:
                 assert inputs["TEXCOORD"].get("offset") == "1"  # the stride remains 2
 
 
-def test_meshes_load_though_warnings_are_errors(monkeypatch) -> None:
-    """Pinocchio warns at Collada meshes since Python 3.12, and leaves out a mesh where that raises."""
+def test_meshes_load_when_warnings_are_errors(monkeypatch) -> None:
+    """Since Python 3.12 Pinocchio warns about Collada meshes, and omits a mesh if the warning raises."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # meshcat imports a retired module of pyzmq
         from pinocchio.visualize import MeshcatVisualizer

@@ -1,4 +1,4 @@
-"""Boxes that rock about an edge, whose far corners land at one instant."""
+"""Boxes that rock about an edge; both corners of the other edge land at the same instant."""
 
 import coal
 import numpy as np
@@ -11,7 +11,7 @@ SIZE = 0.2, 0.3, 0.4
 
 
 def rocking_box(angle, friction, turn):
-    """Return a scene and a start: a box at rest on an edge along y, before a rotation of the whole scene."""
+    """Return a scene of a box at rest on an edge, and its configuration, both rotated by `turn`."""
     model, shapes, here = pin.Model(), pin.GeometryModel(), pin.SE3.Identity()
     model.gravity.linear = turn @ model.gravity.linear
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), here, "box")
@@ -30,9 +30,9 @@ def rocking_box(angle, friction, turn):
     ("angle", "friction", "rtol"),
     [(0.2618, 1.0, 1e-8), (0.4, 1.0, 1e-8), (0.0891, 0.2, 1e-8), (0.1236, 0.2, 1e-6), (0.4, 1.0, 1e-4)],
 )
-def test_a_box_rocks_in_its_plane(angle, friction, rtol, turn):
-    # corners that land one after another turn it out of its plane at some 0.1 rad/s; of the rocking itself
-    # errors may grow from landing to landing, by as much as those of a step
+def test_rocking_box_stays_in_its_plane(angle, friction, rtol, turn):
+    # if corners landed one after another, the box would rotate out of its plane at about 0.1 rad/s; errors
+    # of integration may grow from landing to landing
     scene, q = rocking_box(angle, friction, pin.exp3(np.array(turn)))
     run = simulate(scene, q, np.zeros(6), 0.8, rtol=rtol, atol=1e-2 * rtol, scheme="event-driven")
     assert len(run.impacts) > 4

@@ -1,4 +1,4 @@
-"""A ball that strikes a row of balls at rest, in a scene."""
+"""Impact of a ball on a row of balls at rest, in a scene."""
 
 import numpy as np
 import pinocchio as pin
@@ -10,7 +10,7 @@ RADIUS = 0.1
 
 
 def row(stiffness):
-    """Return balls on a rail and the contacts between neighbours, of some stiffness each."""
+    """Return a model of balls on a rail, and the contacts between neighbours with the given stiffnesses."""
     model, here = pin.Model(), pin.SE3.Identity()
     names = "abcd"[: len(stiffness) + 1]
     for name in names:
@@ -27,7 +27,7 @@ def row(stiffness):
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("stiffness", [(1.0, 1.0), (1.0, 1.0, 1.0), (1e8, 1e4, 1.0)])
-def test_balls_at_rest_restore_what_they_take_up(stiffness, scheme):
+def test_elastic_impact_on_row_of_balls(stiffness, scheme):
     model, contacts = row(stiffness)
     places = 2.0 * RADIUS * np.arange(model.nv)
     v = np.eye(model.nv)[0]
@@ -37,5 +37,5 @@ def test_balls_at_rest_restore_what_they_take_up(stiffness, scheme):
     assert after.sum() == pytest.approx(1.0, abs=1e-12)
     assert after @ after == pytest.approx(1.0, abs=1e-12)
     assert after == pytest.approx(impact(model, model.createData(), places, v, contacts).v, abs=1e-9)
-    if stiffness[0] > 1.0:  # each pair has parted before the next one is pressed
+    if stiffness[0] > 1.0:  # each pair separates before the next one is compressed
         assert after == pytest.approx(np.eye(model.nv)[-1], abs=1e-3)

@@ -129,4 +129,4 @@ def test_boxes_slide_on_each_other_as_small_time_steps_have_it(mus, place, size,
     scene, q = stack(mus, order, load, place)
     trajectory = simulate(scene, q, np.zeros(6 * boxes), duration)
     assert trajectory.q[-1, ::7] == pytest.approx(exact, abs=3e-4)
-    assert len(trajectory.notes) <= 1  # the one that forces are not unique
+    assert len(trajectory.notes) <= 1  # that forces are not unique

@@ -1,4 +1,4 @@
-"""Impacts of a free cube on several corners, all at once, against Coulomb's law, symmetry and Pinocchio."""
+"""Policy "together" for a cube that lands on several corners: Coulomb's law, symmetry, Pinocchio's solver."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SIDE, MASS = 0.1, 1.0
 
 
 def landing(seed, corners):
-    """A cube that lands on two corners of an edge, or on four: W (3n, 3n) and velocities (n, 3)."""
+    """Return W (3n, 3n), velocities (n, 3) and μ of a cube that lands on two or four corners."""
     rng = np.random.default_rng(seed)
     angle, half = rng.uniform(0.05, 1.5), SIDE / 2
     if corners == 2:
@@ -31,7 +31,7 @@ def together(w, v, mu, e=0.0, **numbers):
 
 
 def obeys_coulomb(impulse, velocity, mu, least, near):
-    """Check Coulomb's law on impulses, normal ones from `least` on."""
+    """Check Coulomb's law within `near`, for normal impulses with the lower bounds `least`."""
     slides = np.hypot(*velocity[:, :2].T)
     assert velocity[:, 2].min() >= -near
     assert (impulse[:, 2] - least).min() >= -near
@@ -43,7 +43,7 @@ def obeys_coulomb(impulse, velocity, mu, least, near):
 
 @pytest.mark.parametrize("corners", [2, 4])
 @pytest.mark.parametrize("seed", range(100))
-def test_a_cube_that_lands_on_corners_is_stopped_by_coulombs_law(seed, corners):
+def test_landing_cube_obeys_coulombs_law(seed, corners):
     w, v, mu = landing(seed, corners)
     plastic = together(w, v, mu)
     obeys_coulomb(plastic.impulse, plastic.velocity, mu, 0.0, 1e-9)  # of impulses and velocities of order 1
@@ -57,8 +57,8 @@ def test_a_cube_that_lands_on_corners_is_stopped_by_coulombs_law(seed, corners):
 @pytest.mark.parametrize("e", [0.0, 0.5])
 @pytest.mark.parametrize("corners", [2, 4])
 @pytest.mark.parametrize("seed", range(25))
-def test_neither_the_numbering_nor_the_side_matters(seed, corners, e):
-    """Velocities to rounding; impulses that share a load to what a program finds at its bounds, 10⁻⁶ N s."""
+def test_landing_cube_with_permuted_or_mirrored_corners(seed, corners, e):
+    """Velocities are equal to rounding; impulses, which are not unique, to the tolerance of their program."""
     w, v, mu = landing(seed, corners)
     solution = together(w, v, mu, e)
     order = np.roll(np.arange(corners), 1)
@@ -74,20 +74,20 @@ def test_neither_the_numbering_nor_the_side_matters(seed, corners, e):
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.7])
-def test_a_level_cube_shares_its_load_by_stiffness(mu):
-    """Straight down on four corners: m v in all; equal shares, or as k does where torque allows it."""
+def test_level_cube_distributes_load_by_stiffness(mu):
+    """The total impulse is m v; the loads are equal, or proportional to k within each diagonal."""
     w, _, _ = landing(0, 4)
     v = np.tile([0.0, 0.0, -1.0], (4, 1))
     equal = together(w, v, mu).impulse
     assert equal == pytest.approx(np.tile([0, 0, MASS / 4], (4, 1)), abs=1e-9)
-    # Σ P² / k least with Σ P = m and no torque: two diagonals, half the load each, equal within each
+    # minimum of Σ P²/k with Σ P = m and zero torque: corners 0 and 3 of a diagonal have equal loads, so have
+    # 1 and 2; torque does not determine the loads of the diagonals
     unequal = together(w, v, 0.0, stiffness=[1.0, 3.0, 3.0, 1.0]).impulse[:, 2]
-    # corners 0 and 3 are one diagonal, 1 and 2 the other: torque leaves their shares open
     assert unequal == pytest.approx(MASS * np.array([1.0, 3.0, 3.0, 1.0]) / 8, abs=1e-9)
 
 
-def test_a_cube_that_sticks_and_stops_both_corners_has_no_velocity_left():
-    """The impulse that stops both is W⁺v up to what acts along their edge; in both cones for large μ."""
+def test_sticking_cube_has_zero_contact_velocities():
+    """The impulse −W⁺v of least norm stops both corners; it is in both friction cones for large μ."""
     for seed in range(20):
         w, v, _ = landing(seed, 2)
         stop = -np.linalg.pinv(w) @ v.ravel()
@@ -96,16 +96,16 @@ def test_a_cube_that_sticks_and_stops_both_corners_has_no_velocity_left():
             continue
         solution = together(w, v, 1.1 * (tangent / normal).max())
         assert np.abs(solution.velocity).max() <= 1e-12 * np.abs(v).max() + 1e-13
-        # of least norm, it is that of the pseudoinverse
+        # the solution of least norm
         assert solution.impulse.ravel() == pytest.approx(stop, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_the_plastic_impact_is_that_of_pinocchios_solver(seed):
-    """`ADMMConstraintSolver` on the same W, an iteration of its own; velocities to its tolerance.
+def test_plastic_impact_agrees_with_pinocchios_solver(seed):
+    """Compare with `ADMMConstraintSolver` on the same W, within its tolerance.
 
-    Four corners on one plane share their load in many ways, each with other friction and another motion; with
-    a compliance under each the motion is unique.
+    The load distribution of four coplanar corners is not unique, and friction and motion depend on it; with a
+    compliance at each corner the motion is unique.
     """
     w, v, mu = landing(seed, 2 + 2 * (seed % 2))
     w += (seed % 2) * 0.01 * np.trace(w) / len(w) * np.eye(len(w))
@@ -114,7 +114,7 @@ def test_the_plastic_impact_is_that_of_pinocchios_solver(seed):
 
 
 def pinocchio_impulses(w, v, mu):
-    """Impulses (3n,) of Coulomb's law by Pinocchio's solver."""
+    """Return the impulses (3n,) of Coulomb's law by Pinocchio's solver."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     models, datas = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
@@ -135,8 +135,8 @@ def pinocchio_impulses(w, v, mu):
 
 
 @pytest.mark.parametrize("seed", [2, 31, 241, 524])
-def test_corners_that_are_nearly_in_a_plane_are_stopped(seed):
-    # the residual of the convex program that is taken in the end rises on its way
+def test_nearly_coplanar_corners(seed):
+    # the residual of the convex program, which is the fallback, is not monotonic
     rng = np.random.default_rng(seed)
     points = np.array([[x, y, -1.0] for x in (-1, 1) for y in (-1, 1)]) + 1e-6 * rng.normal(size=(4, 3))
     jacobian = np.vstack([np.hstack([np.eye(3), -pin.skew(point)]) for point in points])
