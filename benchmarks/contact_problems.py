@@ -1,11 +1,11 @@
-"""Forces by Coulomb's law: how many are found by the solver alone, and how fast.
-
-Problems recorded in runs are read from a file (arrays one after the other; `contacts` and `scalars` give the
-sizes), others are drawn: four contacts, some of which slip, with and without three dry joints, of full rank,
-with two normals alike, and redundant ones.
+"""Success rate and run time of the solver of contact problems.
 
     python -m benchmarks.contact_problems recorded.npz
     python -m benchmarks.contact_problems
+
+Recorded problems are read from a file of concatenated arrays, whose sizes are in `contacts` and `scalars`.
+Random ones have four contacts, some of which slip, with or without three joints with dry friction, of full
+rank, with two equal normals, or redundant.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact._numeric.tolerances import USABLE
 
 Problem = tuple[Any, ...]
-"""W, accelerations, velocities of slip, friction, held, lower, upper."""
+"""W, accelerations, velocities of slip, friction, held, and lower and upper bounds of scalar rows."""
 
 
 @numba.njit
 def alone(delassus, free, velocity, mu, held, lower, upper, x):
-    """Call the kernel, which only kernels can."""
+    """Call the kernel from Python."""
     return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:
-    """Yield whether iterations have left it, and the problem."""
+    """Yield recorded problems, and whether the iterations of the run have failed to solve them."""
     data = dict(np.load(path))
     slip, at = data["slip"].reshape(-1, 2), np.zeros(4, dtype=int)
     for nc, ns, hard in zip(data["contacts"], data["scalars"], data["hard"], strict=True):
@@ -54,7 +54,7 @@ def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:
 
 
 def drawn(seed: int) -> Problem:
-    """Draw a problem of four contacts."""
+    """Draw a random problem of four contacts."""
     rng = np.random.default_rng(seed)
     joints = 3 * (seed % 2)
     rows = 12 + joints
@@ -73,7 +73,7 @@ def drawn(seed: int) -> Problem:
 
 
 def measure(problems: list[Problem]) -> tuple[np.ndarray, np.ndarray]:
-    """Return which are solved, and the times [ms]."""
+    """Return which problems are solved (n,), and the run times [ms] (n,)."""
     found, times = np.empty(len(problems), dtype=bool), np.empty(len(problems))
     for k, problem in enumerate(problems):
         x = np.zeros(len(problem[1]))

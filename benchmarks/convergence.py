@@ -1,12 +1,12 @@
-"""Robots dropped onto planes at decreasing tolerances: the error has to decrease with rtol.
+"""Check that errors of random scenes, robots dropped onto planes, decrease with rtol.
 
-Each scene is run at every power of ten from 10⁻⁶ to 10⁻¹¹. If the error of the configuration at one of them
-is larger than that power allows, and not five times smaller than two powers before, the seed is reported,
-with the time since when. Motions that are sensitive to their start (a hundred bounces) are among them. With
---keep the summary is written to docs/figures.
+    python -m benchmarks.convergence --seed 92 --count 200
+    python -m benchmarks.convergence --controlled --seed 93 --count 20 --duration 0.2
 
-python -m benchmarks.convergence --seed 92 --count 200
-python -m benchmarks.convergence --controlled --seed 93 --count 20 --duration 0.2
+Each scene is run at each power of ten from 10⁻⁶ to 10⁻¹¹. If the error of the configuration at one of them is
+above `ALLOWED` times rtol, and not five times smaller than at a hundred times this rtol, the seed is
+reported, with the first such time. Some motions are sensitive to their initial state (a hundred bounces).
+With --keep the summary is written to docs/figures.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .timing import keep
 
 POWERS = range(6, 12)
 ALLOWED = 100.0
-"""How many times rtol an error may be without a word."""
+"""Ratio of the error to rtol above which a scene may be reported."""
 
 
 def main() -> None:
@@ -65,17 +65,17 @@ def main() -> None:
 
 
 def errors_of(seed: int, controlled: bool, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (m,), and per power but the last the largest error of q until then, (powers − 1, m)."""
+    """Return times (m,), and the largest errors of q up to each, (powers − 1, m)."""
     _, scene, q, v, _ = drawn(seed, controlled, others=False)
     model = scene.model
     runs = [simulate(scene, q, v, duration, rtol=10.0**-p, atol=10.0 ** -(p + 2)) for p in POWERS]
     times = np.linspace(0.0, duration, 401)
     exact = [runs[-1].at(t)[0] for t in times]
-    off = [
+    errors = [
         [np.abs(pin.difference(model, run.at(t)[0], q)).max() for t, q in zip(times, exact, strict=True)]
         for run in runs[:-1]
     ]
-    return times, np.maximum.accumulate(off, axis=1)
+    return times, np.maximum.accumulate(errors, axis=1)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Check derivatives of random impacts and motions by differences at two steps, and measure what they cost.
+"""Check derivatives of random impacts and motions by difference quotients, and measure their run time.
 
     python -m benchmarks.derivatives --count 100000 --motions 200 --seed 0
 
-Run from the root of the repository. Each problem is changed along a random direction of v°, W, μ and e. Where
-differences at both steps and to either side agree with each other and not with the derivative, and no flag of
-`Boundary` is set, differences in multiple precision decide. They also decide where derivatives without a flag
-miss what needs no differences: how P changes with all velocities, with all masses and with the axes, and the
-closed form without friction. As many impacts at several contacts as motions are compared with differences at
+Run from the root of the repository. Difference quotients at two steps are along a random direction of v°, W,
+μ and e. If they agree with each other, and on both sides, but not with a derivative without a flag of
+`Boundary`, difference quotients in multiple precision decide. They also decide if such a derivative violates
+an identity (scaling of all velocities or masses, rotation of the axes) or the closed form without friction.
+Derivatives of motions, and of as many impacts at several contacts, are compared with difference quotients at
 two steps. With --keep the counts of impacts are written to docs/figures.
 """
 
@@ -37,16 +37,16 @@ STEPS = (1e-5, 3e-6)
 LENGTH = 0.25
 EXACT: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-14, "scheme": "event-driven"}
 ROWS = 40
-"""Of a batch whose time is taken: few, so that other processes seldom come in between."""
+"""Number of rows of a timed batch; few, so that other processes seldom interrupt it."""
 
 IDENTITY = 1e-9
-"""Error of an identity over its terms from which on multiple precision decides."""
+"""Error of an identity, relative to its terms, above which multiple precision decides."""
 
 ROW = "{:<22}{:>9}{:>9}{:>10}{:>7}"
 
 UPPER = np.triu_indices(3)
 AGREED = 1e-5
-"""Relative difference of the two differences up to which they count as one derivative."""
+"""Relative difference of the two quotients below which they are taken as the derivative."""
 
 
 def problems(rng: np.random.Generator, regime: str, count: int) -> tuple[np.ndarray, ...]:
@@ -55,11 +55,8 @@ def problems(rng: np.random.Generator, regime: str, count: int) -> tuple[np.ndar
     return W, v, mu, rng.uniform(0.02, 0.98, count)
 
 
-def unfulfilled(W: np.ndarray, v: np.ndarray, mu: np.ndarray, e: np.ndarray, batch: Any) -> np.ndarray:
-    """Return by how much derivatives miss the identities after (D15), or the closed form where μ = 0.
-
-    Over the sizes of the terms.
-    """
+def identity_errors(W: np.ndarray, v: np.ndarray, mu: np.ndarray, e: np.ndarray, batch: Any) -> np.ndarray:
+    """Return relative errors of the identities after (D15), or of the closed form at μ = 0."""
     d, P = batch.derivatives, batch.impulse
     Z = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     changes = (v, 0.0 * W, P), (0.0 * v, W, -P), (v @ Z.T, Z @ W - W @ Z, P @ Z.T)
@@ -70,29 +67,31 @@ def unfulfilled(W: np.ndarray, v: np.ndarray, mu: np.ndarray, e: np.ndarray, bat
         found = np.einsum("nij,nj->ni", d.dP_dv, dv) + np.einsum("nkij,nij->nk", d.dP_ddelassus, dW)
         worst = np.maximum(worst, np.linalg.norm(found - dP, axis=1) / (size + (size == 0.0)))
     closed = np.eye(3) - (1.0 + e)[:, None, None] * W[:, :, 2:] / W[:, 2:, 2:] * np.eye(3)[2]
-    off = np.abs(d.dv_dv - closed).max(axis=(1, 2)) / np.abs(closed).max(axis=(1, 2))
-    return np.where((mu == 0.0) & (batch.status != Status.NO_IMPACT), np.maximum(worst, off), worst)
+    error = np.abs(d.dv_dv - closed).max(axis=(1, 2)) / np.abs(closed).max(axis=(1, 2))
+    return np.where((mu == 0.0) & (batch.status != Status.NO_IMPACT), np.maximum(worst, error), worst)
 
 
 def check(rng: np.random.Generator, regime: str, law: str, count: int) -> tuple[int, int, int]:
-    """Return how many derivatives have a flag, are compared, and are wrong without one."""
+    """Return the numbers of derivatives that have a flag, are compared, and are wrong without a flag."""
     W, v, mu, e = problems(rng, regime, count)
     batch = pinimpact.solve_impacts(W, v, mu, e, law, derivatives=True)
     d = batch.derivatives
     size = np.linalg.norm(v, axis=1)
-    towards = rng.normal(size=(count, 3)) * size[:, None]
+    direction = rng.normal(size=(count, 3)) * size[:, None]
     if regime == "no collision":
-        # an impact on one side only, and no derivative
-        towards[:, 2], d.dv_dv[:, :, 2], d.dP_dv[:, :, 2] = 0.0, 0.0, 0.0
+        # there is an impact for v₃ ≤ 0 only, so no derivative by v₃
+        direction[:, 2], d.dv_dv[:, :, 2], d.dP_dv[:, :, 2] = 0.0, 0.0, 0.0
     change = rng.normal(size=W.shape) * 0.3
-    change = change @ W + W @ change.transpose(0, 2, 1)  # as large as W in every direction
+    change = change @ W + W @ change.transpose(0, 2, 1)  # relative to W in every direction
     slope_mu, slope_e = rng.normal(size=count) * mu, rng.normal(size=count) * 0.01
-    found = np.einsum("nij,nj->ni", d.dv_dv, towards) + np.einsum("nkij,nij->nk", d.dv_ddelassus, change)
+    found = np.einsum("nij,nj->ni", d.dv_dv, direction) + np.einsum("nkij,nij->nk", d.dv_ddelassus, change)
     found += d.dv_dfriction * slope_mu[:, None] + d.dv_drestitution * slope_e[:, None]
     by_steps, sides = [], np.zeros(count)
     for h in STEPS:
         ends = [
-            pinimpact.solve_impacts(W + s * change, v + s * towards, mu + s * slope_mu, e + s * slope_e, law)
+            pinimpact.solve_impacts(
+                W + s * change, v + s * direction, mu + s * slope_mu, e + s * slope_e, law
+            )
             for s in (-2 * h, -h, h, 2 * h)
         ]
         a, b, c, f = (end.velocity for end in ends)
@@ -102,11 +101,11 @@ def check(rng: np.random.Generator, regime: str, law: str, count: int) -> tuple[
     apart = np.linalg.norm(by_steps[0] - by_steps[1], axis=1)
     error = np.linalg.norm(found - by_steps[1], axis=1)
     flagged = ~np.isfinite(found).all(axis=1) | (d.boundary & pinimpact.Boundary.EVENTS_COINCIDE > 0)
-    missed = ~flagged & (batch.status <= 3) & ~(unfulfilled(W, v, mu, e, batch) < IDENTITY)
+    missed = ~flagged & (batch.status <= 3) & ~(identity_errors(W, v, mu, e, batch) < IDENTITY)
     compared = ~flagged & (apart < AGREED * scale) & (sides < 1e-3 * scale) & (batch.status <= 3)
     suspected = missed | (compared & ~(error < 10.0 * AGREED * scale))
     wrong = 0
-    for k in np.flatnonzero(suspected):  # a kink between the steps, or slopes in multiple precision differ
+    for k in np.flatnonzero(suspected):  # wrong, or a kink near the steps
         by_delassus = d.dv_ddelassus[k] * (2.0 - np.eye(3))
         mine = np.column_stack(
             [d.dv_dv[k], by_delassus[:, UPPER[0], UPPER[1]], d.dv_dfriction[k], d.dv_drestitution[k]]
@@ -136,13 +135,13 @@ def motion(rng: np.random.Generator) -> tuple[pinimpact.Scene, np.ndarray, np.nd
     return pinimpact.Scene(model, [contact], without=["joint limits"]), q, v
 
 
-def moved(
-    scene: pinimpact.Scene, q: np.ndarray, v: np.ndarray, step: float, towards: np.ndarray
+def difference_quotient(
+    scene: pinimpact.Scene, q: np.ndarray, v: np.ndarray, step: float, direction: np.ndarray
 ) -> tuple[np.ndarray, bool]:
-    """Return how the end of a motion changes in a direction, by differences, and whether its events do."""
+    """Return the difference quotient of a motion's end along a direction, and whether its events change."""
     nv, ends, events = len(v), [], []
     for s in (-2, -1, 0, 1, 2):
-        e = s * step * towards
+        e = s * step * direction
         contact = replace(scene.contacts[0], friction=max(scene.contacts[0].friction + e[-1], 0.0))
         start = pin.integrate(scene.model, q, e[:nv]), v + e[nv : 2 * nv]
         run = pinimpact.simulate(replace(scene, contacts=[contact]), *start, LENGTH, **EXACT)
@@ -154,20 +153,20 @@ def moved(
 
 
 def motions(rng: np.random.Generator, count: int) -> None:
-    """Compare sensitivities of random motions with differences at two steps, and print what comes of it."""
+    """Compare sensitivities of random motions with difference quotients at two steps; print the errors."""
     counts: Counter[str] = Counter()
     errors: list[float] = []
     while len(errors) < count:
         scene, q, v = motion(rng)
-        towards = rng.normal(size=2 * len(v) + 1) * 0.5
-        towards[-1] *= scene.contacts[0].friction > 0.0
+        direction = rng.normal(size=2 * len(v) + 1) * 0.5
+        direction[-1] *= scene.contacts[0].friction > 0.0
         run = pinimpact.simulate(scene, q, v, LENGTH, **EXACT, sensitivities=("state", "friction:tip"))
         found = run.sensitivity(LENGTH)
-        mine = found.state @ towards[:-1] + found.parameters["friction:tip"] * towards[-1]
+        mine = found.state @ direction[:-1] + found.parameters["friction:tip"] * direction[-1]
         if not np.isfinite(mine).all():
             counts[f"flagged {found.boundary!r}"] += 1
             continue
-        (a, kinks), (b, more) = (moved(scene, q, v, step, towards) for step in (2e-5, 1e-5))
+        (a, kinks), (b, more) = (difference_quotient(scene, q, v, step, direction) for step in (2e-5, 1e-5))
         size = float(np.linalg.norm(b))
         if kinks or more or np.linalg.norm(a - b) > 1e-6 * size:
             counts["without differences"] += 1
@@ -175,13 +174,13 @@ def motions(rng: np.random.Generator, count: int) -> None:
         errors.append(float(np.linalg.norm(mine - b)) / size)
         if errors[-1] > 1e-6:
             counts["beyond 1e-6"] += 1
-            print(f"  off by {errors[-1]:.1e}: {scene}, {scene.contacts}, {q.tolist()}, {v.tolist()}")
+            print(f"  error {errors[-1]:.1e}: {scene}, {scene.contacts}, {q.tolist()}, {v.tolist()}")
     print(f"{len(errors)} motions compared, errors: median {np.median(errors):.1e}, max. {max(errors):.1e}")
     print(f"others: {dict(counts)}")
 
 
 def several(rng: np.random.Generator, count: int) -> None:
-    """Compare derivatives of impacts at two to four feet with differences at two steps, and print them."""
+    """Compare derivatives of impacts at two to four feet with difference quotients; print the errors."""
     counts: Counter[str] = Counter()
     errors: list[float] = []
     model, data = load("solo12")
@@ -199,19 +198,19 @@ def several(rng: np.random.Generator, count: int) -> None:
         q = pin.integrate(model, start, 0.2 * rng.normal(size=nv))
         v = rng.normal(size=nv) - 1.5 * np.eye(nv)[2]
         mu, e = (np.array([getattr(c, name) for c in contacts]) for name in ("friction", "restitution"))
-        towards = [*rng.normal(size=(2, nv)), rng.normal(size=n) * mu, rng.normal(size=n) * e * (1.0 - e)]
+        direction = [*rng.normal(size=(2, nv)), rng.normal(size=n) * mu, rng.normal(size=n) * e * (1.0 - e)]
         d = pinimpact.impact_derivatives(model, data, q, v, contacts)
         by = d.dv_dq, d.dv_dv, d.dv_dfriction, d.dv_drestitution
-        mine = sum(columns[:, t != 0.0] @ t[t != 0.0] for columns, t in zip(by, towards, strict=True))
+        mine = sum(columns[:, t != 0.0] @ t[t != 0.0] for columns, t in zip(by, direction, strict=True))
 
-        def after(s: float, at: Any = (q, v, mu, e, contacts, towards)) -> np.ndarray:
-            q, v, mu, e, contacts, towards = at
+        def after(s: float, at: Any = (q, v, mu, e, contacts, direction)) -> np.ndarray:
+            q, v, mu, e, contacts, direction = at
             changed = [
                 replace(c, friction=m, restitution=b)
-                for c, m, b in zip(contacts, mu + s * towards[2], e + s * towards[3], strict=True)
+                for c, m, b in zip(contacts, mu + s * direction[2], e + s * direction[3], strict=True)
             ]
             return pinimpact.impact(
-                model, data, pin.integrate(model, q, s * towards[0]), v + s * towards[1], changed
+                model, data, pin.integrate(model, q, s * direction[0]), v + s * direction[1], changed
             ).v
 
         by_steps, size = [], float(np.linalg.norm(v))
@@ -226,7 +225,7 @@ def several(rng: np.random.Generator, count: int) -> None:
         else:
             errors.append(float(np.linalg.norm(mine - by_steps[0])) / float(np.linalg.norm(by_steps[0])))
             if errors[-1] > 10.0 * AGREED:
-                print(f"  off by {errors[-1]:.1e}: {contacts}, {q.tolist()}, {v.tolist()}")
+                print(f"  error {errors[-1]:.1e}: {contacts}, {q.tolist()}, {v.tolist()}")
     print(
         f"{len(errors)} impacts at several contacts compared, errors: median {np.median(errors):.1e}, "
         f"max. {max(errors):.1e}; others: {dict(counts)}"
@@ -234,7 +233,7 @@ def several(rng: np.random.Generator, count: int) -> None:
 
 
 def cost() -> None:
-    """Print what derivatives cost, over the solution itself."""
+    """Print run times of derivatives, absolute and relative to the solution."""
     rng = np.random.default_rng(1)
     for regime in ("smooth slip", "slip to stick", "resumed slip"):
         W, v, mu, e = problems(rng, regime, ROWS)
@@ -267,7 +266,7 @@ def cost() -> None:
 
 
 def standing(scheme: str) -> tuple[pinimpact.Stepper, Any]:
-    """Return a solo12 on four feet, and its control."""
+    """Return a stepper of a solo12 on four feet, and its control."""
     robot = pinimpact.load_robot("solo12")
     model, data, q = robot.model, robot.data, pin.neutral(robot.model)
     q[7:] = np.tile([0.0, 0.7, -1.4], 4)
@@ -284,7 +283,7 @@ def standing(scheme: str) -> tuple[pinimpact.Stepper, Any]:
 
 
 def swinging(scheme: str) -> tuple[pinimpact.Stepper, Any]:
-    """Return a Panda that swings above a floor, and its control."""
+    """Return a stepper of a Panda that swings above a floor, and its control."""
     robot = pinimpact.load_robot("panda")
     floor = pinimpact.Plane(point=(0.0, 0.0, -1.0))
     scene = pinimpact.Scene(robot, pinimpact.Contact(FRAMES["panda"], floor), without=["joint limits"])
@@ -293,7 +292,7 @@ def swinging(scheme: str) -> tuple[pinimpact.Stepper, Any]:
 
 
 def cost_of_steps() -> None:
-    """Print what the derivatives of a step of 1 ms cost, over that step and over steps in a row."""
+    """Print run times of derivatives of 1 ms steps, relative to steps with and without derivatives."""
     scenes = ("solo12 on four feet", standing), ("Panda in flight", swinging)
     for (name, make), scheme in itertools.product(scenes, ("auto", "time-stepping")):
         best = np.full(3, np.inf)
@@ -318,7 +317,7 @@ def cost_of_steps() -> None:
 
 
 def main() -> None:
-    """Check and measure."""
+    """Check derivatives and measure run times."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--motions", type=int, default=200)

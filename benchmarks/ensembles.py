@@ -1,9 +1,9 @@
-"""Measure ensembles: overhead over a loop, workers, cold starts, landings of a quadruped, kills.
+"""Measure ensembles: overhead over a loop, workers, cold starts, landings of a quadruped, killed processes.
 
     python -m benchmarks.ensembles --kills 20
 
-Run from the root of the repository, on an idle machine with two processors. Ratios are medians of rounds in
-which both sides take turns.
+Run from the root of the repository, on an idle machine with two processors. Ratios are medians over rounds in
+which both alternatives run in turn.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Everyday scenes in time steps: dominoes, stacks, piles and free boxes, beside MuJoCo at the same step.
+"""Run times of everyday scenes by time stepping and by MuJoCo: dominoes, stacks, piles and separate boxes.
 
     python benchmarks/everyday.py
 
-Seconds of computing for a second of motion. Both take steps of a millisecond on one thread, with the same
-masses, sizes, friction and start. MuJoCo (elliptic cones, Newton's method) has soft contacts: the times are
-compared, not the answers. In time stepping what rests takes no part: the boxes that stand, the boxes apart
-once they have landed.
+The table has seconds of run time per second of motion. Both use 1 ms steps on one thread, with the same
+masses, sizes, friction and initial states. MuJoCo (elliptic cones, Newton's method) has soft contacts, so run
+times are compared, not results. Time stepping skips bodies at rest: standing boxes, and separate boxes after
+they have landed.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from pinimpact import Contact, Plane, Scene, Shape, simulate
 STEP = 1e-3
 
 RUNS = 3
-"""Of each scene, of which the fastest counts: the first one loads kernels."""
+"""Number of runs of each scene; the table has the shortest run time, as the first run loads kernels."""
 
 
 class Boxes(NamedTuple):
     """Free boxes on a floor.
 
     Attributes:
-        name: In the table.
+        name: Name in the table.
         size: (3,) edges [m].
-        mass: Of each [kg].
-        floor, between: Coefficients of friction.
-        places: (n, 3) centres at the start [m].
-        first: (6,) velocity of the first one.
-        duration: Of the motion [s].
+        mass: Mass of each box [kg].
+        floor, between: Coefficients of friction with the floor and between boxes.
+        places: (n, 3) initial centres [m].
+        first: (6,) initial velocity of the first box.
+        duration: Duration of the motion [s].
     """
 
     name: str
@@ -79,7 +79,7 @@ def apart(count: int) -> Boxes:
 
 
 def scene_of(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[Scene, np.ndarray, np.ndarray]:
-    """Return the scene of boxes and of which pairs may touch, with its start: configuration and velocity."""
+    """Return the scene of boxes with contacts of the given pairs, and its initial q and v."""
     model, shapes = pin.Model(), pin.GeometryModel()
     size = np.array(boxes.size)
     inertia = boxes.mass / 12.0 * np.diag(np.sum(size**2) - size**2)
@@ -101,11 +101,11 @@ def scene_of(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[Scene, np.ndar
     q0 = np.hstack([boxes.places, np.tile([0, 0, 0, 1.0], (len(boxes.places), 1))]).ravel()
     v0 = np.zeros(model.nv)
     v0[:6] = boxes.first
-    return Scene(model, contacts, geometry=shapes), q0, v0  # a RobotWrapper has a Data, of nv³ numbers
+    return Scene(model, contacts, geometry=shapes), q0, v0  # not a RobotWrapper, whose Data has nv³ numbers
 
 
-def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
-    """Return seconds of computing, and a remark."""
+def time_pinimpact(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
+    """Return the run time of pinimpact [s], and the notes of the trajectory."""
     scene, q0, v0 = scene_of(boxes, pairs)
     seconds = math.inf
     for _ in range(RUNS):
@@ -116,7 +116,7 @@ def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
 
 
 def in_mujoco(boxes: Boxes, pairs: list[tuple[int, int]], step: float = STEP) -> mujoco.MjModel:
-    """Return the same in MuJoCo; its boxes start turned by none."""
+    """Return the model of the boxes in MuJoCo."""
     half = " ".join(str(0.5 * x) for x in boxes.size)
     bodies = "".join(
         f'<body name="b{k}" pos="{x} {y} {z}"><freejoint/><geom name="g{k}" type="box" size="{half}" '
@@ -135,8 +135,8 @@ def in_mujoco(boxes: Boxes, pairs: list[tuple[int, int]], step: float = STEP) ->
     )
 
 
-def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
-    """Return MuJoCo's seconds of computing."""
+def time_mujoco(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
+    """Return the run time of MuJoCo [s]."""
     model, seconds = in_mujoco(boxes, pairs), math.inf
     for _ in range(RUNS):
         data = mujoco.MjData(model)
@@ -149,7 +149,7 @@ def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
 
 
 def may_touch(boxes: Boxes) -> list[tuple[int, int]]:
-    """Return the pairs of boxes that are watched: neighbours in a row, or all."""
+    """Return the pairs of boxes with contacts: neighbours in rows and stacks, else all."""
     numbers = range(len(boxes.places))
     near = boxes.name.endswith(("fall", "stand"))
     return list(itertools.pairwise(numbers) if near else itertools.combinations(numbers, 2))
@@ -169,17 +169,17 @@ def main() -> None:
         apart(100),
     ):
         pairs = may_touch(boxes)
-        own, remark = ours(boxes, pairs)
-        other = theirs(boxes, pairs)
+        seconds, remark = time_pinimpact(boxes, pairs)
+        mujoco_seconds = time_mujoco(boxes, pairs)
         rows[boxes.name] = {
-            "seconds": own / boxes.duration,
-            "mujoco": other / boxes.duration,
-            "ratio": own / other,
+            "seconds": seconds / boxes.duration,
+            "mujoco": mujoco_seconds / boxes.duration,
+            "ratio": seconds / mujoco_seconds,
             "remark": remark,
         }
         table.append(
-            f"{boxes.name:<20}{own / boxes.duration:>10.2f} s"
-            f"{other / boxes.duration:>8.3f} s{own / other:>8.0f}"
+            f"{boxes.name:<20}{seconds / boxes.duration:>10.2f} s"
+            f"{mujoco_seconds / boxes.duration:>8.3f} s{seconds / mujoco_seconds:>8.0f}"
         )
     keep("everyday", "\n".join(table) + "\n", {"step": STEP, "scenes": rows})
 

@@ -1,4 +1,4 @@
-"""Error against time for every method on the standard problems, with the diagram.
+"""Error against run time of all methods for the standard problems, as a table and a diagram.
 
 python -m benchmarks.exchange_rate
 """

@@ -1,12 +1,12 @@
-"""Try the contact-space solver on random problems drawn to hit its edges, and check what must hold.
+"""Check the contact-space solver with random problems near boundaries of its regimes.
 
     python -m benchmarks.fuzz --seed 1 --count 1000000
 
-Run from the root of the repository. Prints a table with a line for each category: problems; those refused (an
-approach that nothing can stop, or a law that cannot be met; only if W is singular); the most iterations; and
-the largest disagreement between views of one problem in different axes or units, over the problem's own
-sensitivity. Then every violation. tests/random_impacts.py draws and checks the problems; the tests run fewer.
-With --keep the table is written to docs/figures.
+Run from the root of the repository. Prints a table with a line for each category: number of problems; number
+of those refused (an unstoppable approach, or a law that cannot be satisfied; for singular W only); largest
+number of iterations; and largest change of the solution in other axes or units, relative to the sensitivity
+to rounding errors. All violations follow. tests/random_impacts.py draws and checks the problems; the tests
+run fewer. With --keep the table is written to docs/figures.
 """
 
 from __future__ import annotations

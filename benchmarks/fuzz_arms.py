@@ -4,11 +4,11 @@
 
 Run from the root of the repository. Bases and planes have random orientations, or are aligned within
 1e-15 … 1e-3; some tips move parallel to the plane, and some contact velocities are small by cancellation.
-`--count` of them are compared with the solution from the numbers of the URDF in multiple precision; one
-may differ by eight times what a few roundings of these numbers change. `--many` are checked by mechanics,
-and by the same arm and plane in a rotated world; doubtful ones are compared with multiple precision too.
-tests/random_arms.py and tests/many_arms.py draw and check them; the tests run a few. With --keep the results
-are written to docs/figures.
+`--count` of them are compared with multiple precision, computed from the numbers of the URDF; the tolerance
+is eight times the effect of rounding errors of these numbers. `--many` are checked against mechanics, and
+against the same arm and plane in rotated axes; doubtful ones are compared with multiple precision too.
+tests/random_arms.py and tests/many_arms.py draw and check the impacts; the tests run fewer. With --keep the
+results are written to docs/figures.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""Check impacts at many contacts against mechanics: random problems, regular and singular.
+"""Check random impacts at several contacts, regular and singular, against mechanics.
 
     python -m benchmarks.fuzz_many --seed 1 --count 100000
     python -m benchmarks.fuzz_many --landings --count 2000
 
-Run from the root of the repository. Problems have one to five contacts, W of any rank, equal or different
-coefficients, some of them zero; every fourth is drawn to be hard (flat bodies, ties, e = 0 beside e > 0).
-Checked are energy, its sum by causes, friction cones, normal impulses ≥ 0, no approach at the end, and that
-impulses and velocities are consistent. Impacts that are integrated by steps, or reach a bound, are counted.
+Run from the root of the repository. Problems have one to five contacts, W of any rank, and equal or different
+coefficients, some of them zero; every fourth is hard (flat bodies, ties, e = 0 next to e > 0). Checks are of
+energy, which does not grow, the sum of all work, friction cones, normal impulses ≥ 0, no approach at the end,
+and consistent impulses and velocities. Impacts that are integrated by steps, or reach a bound, are counted.
 With --keep the table is written to docs/figures.
 
-Landings are rigid bodies on three to nine coplanar corners, symmetric and nearly so, flat and nearly flat:
-boxes, bricks, stools and quadrupeds with locked legs. Their velocities are also compared with the independent
-integration of `tests/landing_reference.py`: to 1e-6 of the largest beyond its own error, for e = 0, as the
-limit of little restitution, to 5e-3, unless a jump nearby is flagged.
+Landings are of rigid bodies on three to nine coplanar corners, symmetric or almost, flat or almost: boxes,
+bricks, stools and quadrupeds with locked legs. Their velocities are also compared with the independent
+integration of `tests/landing_reference.py`, unless a jump nearby is flagged. The tolerance, relative to the
+largest velocity, is 1e-6 plus the error of that integration; for e = 0, a limit of small restitutions, 5e-3.
 """
 
 from __future__ import annotations
@@ -91,13 +91,13 @@ def draw_landing(seed: int) -> tuple[Array, Array, Array, Array, Array]:
         u[5] = rng.uniform(-5.0, 5.0)
     if rng.random() < 0.4:
         u[3:5] = rng.uniform(-2.0, 2.0, 2)
-    off = 10.0 ** rng.uniform(-12, -2)  # nearly symmetric, nearly flat
+    deviation = 10.0 ** rng.uniform(-12, -2)  # from symmetric and flat landings
     if rng.random() < 0.4:
-        points += off * height * rng.normal(size=points.shape)
+        points += deviation * height * rng.normal(size=points.shape)
     if rng.random() < 0.4:
-        u += off * rng.normal(size=6)
+        u += deviation * rng.normal(size=6)
     if kind == 4 or rng.random() < 0.2:
-        turn = rng.normal(size=(3, 3)) * off
+        turn = rng.normal(size=(3, 3)) * deviation
         mass[3:, 3:] = (np.eye(3) + turn) @ mass[3:, 3:] @ (np.eye(3) + turn).T
     jacobian = np.concatenate([np.hstack([np.eye(3), -_cross(point)]) for point in points])
     n = len(points)
@@ -106,7 +106,7 @@ def draw_landing(seed: int) -> tuple[Array, Array, Array, Array, Array]:
 
 
 def _box_inertia(a: float, b: float, c: float) -> tuple[float, float, float]:
-    """Return the moments of a box of mass 1 and these half sides."""
+    """Return the moments of inertia of a box of mass 1 with half sides a, b, c."""
     return (b * b + c * c) / 3.0, (a * a + c * c) / 3.0, (a * a + b * b) / 3.0
 
 
@@ -121,48 +121,48 @@ def _landing_reference() -> Any:
 
 
 REFERENCE_STEP = 5e-4
-"""Of the independent integration, in its clock; halved twice until it is sure to 1e-7."""
+"""Step size of the independent integration, in units of its clock; reduced until its error is below 1e-7."""
 
 LITTLE = 0.02, 0.01, 0.005, 0.0025, 0.00125
-"""Restitutions from which the reference is extrapolated to e = 0."""
+"""Restitutions from which the reference at e = 0 is extrapolated."""
 
 ALLOWED, ALLOWED_LIMIT = 1e-6, 5e-3
-"""Parts of the largest velocity that an answer may be off the reference; the second for e = 0."""
+"""Allowed errors relative to the largest velocity; the second one for e = 0."""
 
 
-def _off_the_reference(landing: Any, w: Array, velocity: Array, mu: Array, e: Array, after: Array) -> float:
-    """Return what an answer is off in parts of what it may be, beyond the reference's own error."""
+def _error(landing: Any, w: Array, velocity: Array, mu: Array, e: Array, after: Array) -> float:
+    """Return the error of velocities, minus that of the reference, relative to the allowed one."""
     size = float(np.abs(velocity).max())
     numbers = w, velocity.ravel() / size, mu
     stiffness = np.full(len(mu), 1.0 / np.diag(w)[2::3].max())
     if not e.any():
-        return _off_the_limit(landing, numbers, stiffness, after.ravel() / size)
+        return _error_at_zero(landing, numbers, stiffness, after.ravel() / size)
     step = REFERENCE_STEP * min(1.0, 5.0 * float(e.min()))
-    off = error = np.inf
+    difference = error = np.inf
     for _ in range(3):
         by_steps, error = landing(*numbers, e, stiffness, step)
-        off = float(np.abs(after.ravel() / size - by_steps).max())
-        if off <= ALLOWED or error <= 0.1 * ALLOWED:
+        difference = float(np.abs(after.ravel() / size - by_steps).max())
+        if difference <= ALLOWED or error <= 0.1 * ALLOWED:
             break
         step *= 0.25
-    return max(off - error, 0.0) / ALLOWED
+    return max(difference - error, 0.0) / ALLOWED
 
 
-def _off_the_limit(landing: Any, numbers: tuple[Array, ...], stiffness: Array, after: Array) -> float:
-    """Return what an answer at e = 0 is off the limit of small e, in parts of what it may be.
+def _error_at_zero(landing: Any, numbers: tuple[Array, ...], stiffness: Array, after: Array) -> float:
+    """Return the error of velocities at e = 0 relative to the allowed one.
 
-    Two restitutions are extrapolated, and halved as long as that is far from the answer.
+    The reference is extrapolated from two small restitutions, smaller ones while the error is too large.
     """
-    off, before = np.inf, None
+    error, before = np.inf, None
     for little in LITTLE:
         step = 0.5 * REFERENCE_STEP * min(1.0, little / LITTLE[1])
         now = landing(*numbers, np.full(len(stiffness), little), stiffness, step)[0]
         if before is not None:
-            off = float(np.abs(after - 2.0 * now + before).max())
-        if off <= ALLOWED_LIMIT:
+            error = float(np.abs(after - 2.0 * now + before).max())
+        if error <= ALLOWED_LIMIT:
             break
         before = now
-    return off / ALLOWED_LIMIT
+    return error / ALLOWED_LIMIT
 
 
 def _cross(r: Array) -> Array:
@@ -170,14 +170,15 @@ def _cross(r: Array) -> Array:
 
 
 def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
-    """Return what is violated in a problem, how it ended, its events per contact, and what it took [s].
+    """Check a problem, or a landing if the reference `landing` is given.
 
-    With a reference `landing` the problem is one of landings.
+    Returns:
+        Its violations, how it was solved, its events per contact, and the run time [s].
     """
     jacobian, mass, u, friction, restitution = draw(seed) if landing is None else draw_landing(seed)
     delassus = jacobian @ np.linalg.solve(mass, jacobian.T)
     velocity = (jacobian @ u).reshape(-1, 3)
-    if not (velocity[:, 2] < 0).any():  # it would part
+    if not (velocity[:, 2] < 0).any():  # separating
         u, velocity = -u, -velocity
     problem = pinimpact.ImpactProblem(
         0.5 * (delassus + delassus.T), velocity, friction, restitution, "energetic"
@@ -185,33 +186,30 @@ def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
     start = time.perf_counter()
     try:
         solution = pinimpact.solve_impact(problem, simultaneous="propagate")
-    except pinimpact.PinimpactError as error:
-        return [], f"refused: {type(error).__name__}", 0, time.perf_counter() - start
+    except pinimpact.PinimpactError as raised:
+        return [], f"refused: {type(raised).__name__}", 0, time.perf_counter() - start
     taken = time.perf_counter() - start
     p = solution.impulse
     after = u + np.linalg.solve(mass, jacobian.T @ p.ravel())
     scale, push = np.abs(velocity).max(), max(np.abs(p).max(), 1e-300)
     rounding = 1e-9 * scale + 1e-12 * push * np.abs(delassus).max()
-    if solution.notes:  # a convex program has ended it, or steps with the accuracy that is noted
+    if solution.notes:  # solved by a convex program, or by steps with the noted accuracy
         noted = re.search(r"velocities to about (\S+) of the largest", solution.notes[-1])
         rounding = max(1e2 * rounding, 1.05 * float(noted[1]) * scale if noted else 0.0)
     before, later = 0.5 * u @ mass @ u, 0.5 * after @ mass @ after
     checks = {
-        "energy made": later > before + 1e-9 * before + len(p) * push * rounding,
-        "works do not add up": abs(later - before - solution.work.total.sum())
+        "energy grows": later > before + 1e-9 * before + len(p) * push * rounding,
+        "sum of all work": abs(later - before - solution.work.total.sum())
         > 1e-8 * before + len(p) * push * rounding,
-        "friction beyond its cone": (np.hypot(p[:, 0], p[:, 1]) > friction * p[:, 2] + 1e-9 * push).any(),
-        "pull": (p[:, 2] < -1e-12 * push).any(),
-        "approach left": (solution.velocity[:, 2] < -10.0 * rounding).any(),
-        "impulses do not give velocities": np.abs((jacobian @ after).reshape(-1, 3) - solution.velocity).max()
-        > 10.0 * rounding,
+        "outside the cone": (np.hypot(p[:, 0], p[:, 1]) > friction * p[:, 2] + 1e-9 * push).any(),
+        "negative normal impulse": (p[:, 2] < -1e-12 * push).any(),
+        "approach at the end": (solution.velocity[:, 2] < -10.0 * rounding).any(),
+        "momentum": np.abs((jacobian @ after).reshape(-1, 3) - solution.velocity).max() > 10.0 * rounding,
     }
     if landing is not None:
-        off = _off_the_reference(
-            landing, problem.delassus, velocity, friction, restitution, solution.velocity
-        )
+        error = _error(landing, problem.delassus, velocity, friction, restitution, solution.velocity)
         flagged = pinimpact.Flag.NEAR_JUMP in solution.flags
-        checks[f"off the reference by {off:.1e} of what it may be"] = off > 1.0 and not flagged
+        checks[f"{error:.1e} times the allowed error"] = error > 1.0 and not flagged
     kind = "by itself"
     if solution.notes:
         kind = "by steps, noted" if "adaptive steps" in solution.notes[-1] else "all at once, noted"

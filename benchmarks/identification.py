@@ -1,8 +1,9 @@
-"""Count how often intervals of friction and restitution contain the true values, and time a fit.
+"""Measure the coverage of confidence intervals of friction and restitution, and the run time of a fit.
 
     python -m benchmarks.identification --count 1000
 
-Run from the root of the repository. Synthetic tosses have their own μ each, with noise of the velocities.
+Run from the root of the repository. The friction of synthetic tosses varies from toss to toss, and their
+velocities have noise.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Impacts at many contacts: what an accuracy of "propagate" costs, the other policies, and many contacts.
+"""Run times of impacts at several contacts: policy "propagate" by accuracy, other policies, many contacts.
 
 python -m benchmarks.many_contacts
 """
@@ -16,7 +16,7 @@ TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-12, 1e-16)
 
 
 def cradle(balls: int, restitution: float) -> pinimpact.ImpactProblem:
-    """Return a row of balls that touch, of which the first one moves."""
+    """Return the impact of a ball on a row of balls in contact."""
     jacobian = np.zeros((3 * balls - 3, balls))
     for j in range(balls - 1):
         jacobian[3 * j + 2, j : j + 2] = -1.0, 1.0
@@ -25,7 +25,7 @@ def cradle(balls: int, restitution: float) -> pinimpact.ImpactProblem:
 
 
 def cube(corners: int) -> pinimpact.ImpactProblem:
-    """Return a cube of 10 cm and 1 kg that lands flat on corners² points of a face, turning and slipping."""
+    """Return a cube of 10 cm and 1 kg that lands flat on corners² points of a face, spinning and slipping."""
     sides = np.linspace(-0.05, 0.05, corners)
     points = [(x, y, -0.05) for x in sides for y in sides]
     jacobian = np.concatenate([np.hstack([np.eye(3), -pin.skew(np.array(point))]) for point in points])
@@ -35,7 +35,7 @@ def cube(corners: int) -> pinimpact.ImpactProblem:
 
 
 def feet() -> pinimpact.ImpactProblem:
-    """Return four feet of a quadruped that lands while it turns and drifts."""
+    """Return a quadruped that lands on four feet while it rotates and moves sideways."""
     robot = pinimpact.load_robot("solo12")
     v = np.zeros(robot.model.nv)
     v[:6] = 0.4, 0.1, -1.0, 0.3, 0.2, 0.1
@@ -47,7 +47,7 @@ def feet() -> pinimpact.ImpactProblem:
 
 
 def main() -> None:
-    """Measure and publish."""
+    """Measure run times and write the table."""
     lines, figures = [], {}
     for name, problem in (("five balls, no friction", cradle(5, 0.9)), ("four feet, friction", feet())):
         exact = pinimpact.solve_impact(problem).velocity

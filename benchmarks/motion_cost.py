@@ -1,12 +1,12 @@
-"""Accuracy against time of whole motions: both schemes, and MuJoCo and Drake beside them.
+"""Accuracy against run time of whole motions by both schemes, MuJoCo and Drake.
 
     python -m benchmarks.motion_cost
 
-The error is the largest distance between where bodies are and where they are in the limit of small steps, at
-ten times of the motion. Both schemes of pinimpact have one limit: that of events at rtol = 1e-11 or, where
-that needs time steps, the shortest of these. MuJoCo and Drake model contacts that give way; each is compared
-with its own run at steps eight times shorter than the shortest shown, so their curves show how fast they
-converge, not how far their limit is from rigid contact. Seconds are those of one thread.
+The error is the largest distance of bodies from their positions in a reference run, at ten times of the
+motion. The reference of both schemes of pinimpact is event-driven with rtol = 1e-11 or, for scenes that need
+time steps, time stepping with an eighth of the shortest step shown. MuJoCo and Drake have compliant contacts;
+the reference of each is its own run with such steps, so their curves show convergence, not the distance of
+their limit from rigid contact. Run times are for one thread.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ EVENTS, TIME_STEPS, OTHERS = "event-driven", "time steps", ("MuJoCo", "Drake")
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 STEPS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)
 LIMIT = 1e-11
-"""The tolerance of the limit."""
+"""Tolerance rtol of reference runs."""
 LONGEST = 5.0
-"""Once a run has taken so many seconds, shorter steps and smaller tolerances are left out."""
+"""Run time after which shorter steps and smaller tolerances are omitted [s]."""
 FINER = 8
-"""How many times shorter than the shortest step shown the steps of a limit are."""
+"""Ratio of the shortest step shown to the step of reference runs."""
 
 Path = np.ndarray
 """(SAMPLES, n, 3) positions of bodies [m]."""
 Run = Callable[[float], tuple[Path, float]]
-"""A motion by a tolerance or a step, and the seconds that it takes."""
+"""Computes a motion with a given tolerance or step size; returns it and the run time [s]."""
 
 
 def times(duration: float) -> np.ndarray:
@@ -50,14 +50,14 @@ def times(duration: float) -> np.ndarray:
 
 
 def positions(model: pin.Model, q: np.ndarray) -> Path:
-    """Return where the joints of a model are (n, 3)."""
+    """Return the positions of the joints of a model (n, 3)."""
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     return np.array([placement.translation for placement in list(data.oMi)[1:]])
 
 
 def schemes(scene: Scene, q0: np.ndarray, v0: np.ndarray, duration: float) -> dict[str, Run]:
-    """Return both schemes of a scene."""
+    """Return runs of a scene by both schemes."""
 
     def run(**options: Any) -> tuple[Path, float]:
         begun = time.process_time()
@@ -74,7 +74,7 @@ def schemes(scene: Scene, q0: np.ndarray, v0: np.ndarray, duration: float) -> di
 
 
 def steps_of_mujoco(model_at: Callable[[float], mujoco.MjModel], v0: Sequence[float], duration: float) -> Run:
-    """Return a motion by MuJoCo; the first velocities are given, others are zero."""
+    """Return a run by MuJoCo; velocities that are not given are zero."""
 
     def run(dt: float) -> tuple[Path, float]:
         model = model_at(dt)
@@ -94,7 +94,7 @@ def steps_of_mujoco(model_at: Callable[[float], mujoco.MjModel], v0: Sequence[fl
 
 
 def steps_of_drake(boxes: Boxes, pairs: list[tuple[int, int]]) -> Run:
-    """Return a motion of boxes by Drake's discrete plant, with hydroelastic contact of all pairs."""
+    """Return a run of boxes by Drake's discrete plant, with hydroelastic contact of all pairs."""
     from pydrake.geometry import AddCompliantHydroelasticProperties, AddContactMaterial, ProximityProperties
     from pydrake.geometry import Box as DrakeBox
     from pydrake.math import RigidTransform
@@ -112,7 +112,7 @@ def steps_of_drake(boxes: Boxes, pairs: list[tuple[int, int]]) -> Run:
     def run(dt: float) -> tuple[Path, float]:
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=dt)
-        # friction of a pair is 2 μ₁ μ₂ / (μ₁ + μ₂): the floor's makes that of box and floor as asked for
+        # Drake's friction of a pair is 2 μ₁ μ₂/(μ₁ + μ₂), which determines the coefficient of the floor
         floor = boxes.floor * boxes.between / max(2.0 * boxes.between - boxes.floor, 1e-9)
         ground = DrakeBox(20.0, 20.0, 1.0)
         below = RigidTransform([0.0, 0.0, -0.5])
@@ -147,7 +147,7 @@ def steps_of_drake(boxes: Boxes, pairs: list[tuple[int, int]]) -> Run:
 
 
 def landing() -> dict[str, Run]:
-    """Return a solo12 that lands on four feet from 5 cm, its joints drawn to its posture."""
+    """Return runs of a solo12 that lands on four feet from 5 cm, with PD control of its joints."""
     model, posture, contacts = quadruped()
     q = posture.copy()
     q[2] += 0.05
@@ -160,7 +160,7 @@ def landing() -> dict[str, Run]:
 
 
 def of_boxes(boxes: Boxes) -> dict[str, Run]:
-    """Return a motion of boxes by all."""
+    """Return runs of boxes by both schemes, MuJoCo and Drake."""
     pairs = may_touch(boxes)
     scene, q0, v0 = scene_of(boxes, pairs)
     return schemes(scene, q0, v0, boxes.duration) | {
@@ -170,14 +170,14 @@ def of_boxes(boxes: Boxes) -> dict[str, Run]:
 
 
 def sliding() -> Boxes:
-    """A box that slides and turns on a floor until friction has stopped it."""
+    """Return a box that slides and spins on a floor until it stops."""
     places = np.array([(0.0, 0.0, 0.05)])
     first = np.array([1.0, 0.5, 0.0, 0.0, 0.0, 4.0])
     return Boxes("box slides to rest", (0.2, 0.2, 0.1), 1.0, 0.4, 0.4, places, first, 0.5)
 
 
 def measured(run: Run, settings: Sequence[float], limit: Path) -> list[dict[str, float]]:
-    """Return error [m] and the least of three times [s] for each setting."""
+    """Return the error [m] and the shortest of three run times [s] for each setting."""
     rows = []
     for setting in settings:
         path, seconds = run(setting)
@@ -212,7 +212,7 @@ def main() -> None:
 
 
 def table(results: dict[str, dict[str, list[dict[str, float]]]]) -> str:
-    """Return errors and times of each motion, by way of computing it."""
+    """Return errors and run times of each motion and method as a table."""
     lines = []
     for name, runs in results.items():
         lines.append(name)

@@ -1,4 +1,4 @@
-"""The Panda of example-robot-data in MuJoCo, stripped of meshes, with one sphere at the hand and a table."""
+"""The Panda of example-robot-data in MuJoCo, without meshes, with a sphere at the hand and a table."""
 
 from __future__ import annotations
 

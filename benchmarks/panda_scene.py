@@ -1,4 +1,4 @@
-"""The Panda over a table, as the benchmarks of scenes run it."""
+"""The scene of a Panda above a table for the benchmarks of scenes."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
     python -m benchmarks.recorded_cubes ../shared/data/cube_tosses
 
-Run from the root of the repository; the data are not part of it. Lengths are in metres of the data.
+Run from the root of the repository, which does not contain the data. Lengths are in the unit of the data.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pinimpact.studies.recordings import gaps
 from .timing import FIGURES
 
 WIDTH = 0.1017
-"""Of the cube."""
+"""Width of the cube [m]."""
 
 
 def row(what: str, fit: studies.Identified, index: int, unit: str = "") -> str:
@@ -48,7 +48,7 @@ def other_laws(given: studies.FoundImpacts, scene: Scene) -> list[str]:
 
 
 def averages(errors: np.ndarray) -> list[str]:
-    """Return lines with the mean and the median of errors (n, 2) of position and rotation."""
+    """Return lines with mean and median of errors (n, 2) of position and rotation."""
     return [
         f"{'  ' + name:<52}{100 * position / WIDTH:>7.1f} % of the width, {np.degrees(rotation):.1f}°"
         for name, (position, rotation) in (
@@ -59,9 +59,9 @@ def averages(errors: np.ndarray) -> list[str]:
 
 
 def whole_motions(scene: Scene, motions: list[studies.Motion]) -> list[str]:
-    """Return lines with coefficients from every sixth toss as a whole, and errors of the others."""
+    """Return lines with coefficients fitted to every sixth toss as a whole, and errors of the others."""
     rest = np.array([gaps(scene, motion.q[-1:])[0] for motion in motions])
-    height = float(np.sort(rest, axis=1)[:, :4].mean())  # of the board, by the corners on which cubes rest
+    height = float(np.sort(rest, axis=1)[:, :4].mean())  # of the board, from the corners on which cubes rest
     board = Plane(point=(0.0, 0.0, height))
     scene = replace(scene, contacts=[replace(contact, plane=board) for contact in scene.contacts])
     free = {"friction": (0.05, 0.4), "restitution": (0.05, 0.6), "sliding_friction": (0.1, 0.4)}
@@ -102,7 +102,7 @@ def main() -> None:
         lines.append(row(f"friction of sliding faster than {slowest:g} m/s, {slid.groups} tosses", slid, 0))
     labels = np.array([motion.group for motion in motions])
     errors = np.zeros((len(motions), 2))
-    for fold in range(4):  # each fourth of the tosses is predicted by the others
+    for fold in range(4):  # each fourth of the tosses is predicted from the others
         out = np.arange(len(motions)) % 4 == fold
         kept = ~np.isin(found.group, labels[out])
         model = studies.identify(found[kept], scene).apply(scene)

@@ -1,9 +1,8 @@
-"""Measure all figures of the pages, one benchmark after the other.
+"""Run all benchmarks, or those named as arguments, and update tables and figures of the documentation.
 
     python benchmarks/run_all.py
 
-or, with names of benchmarks as arguments, only theirs. Each runs in its own process on one thread. The tables
-and figures in the pages are replaced by those just measured.
+Each benchmark runs in a separate process on one thread.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ NAMES = (
     "recorded_cubes",
 )
 RECORDINGS = ROOT.parent / "shared" / "data" / "cube_tosses"
-"""Recorded tosses, which are no part of the repository; without them "recorded_cubes" is left out."""
+"""Recorded tosses, which are not in the repository; without them "recorded_cubes" is omitted."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
@@ -40,7 +39,7 @@ if __name__ == "__main__":
         print(f"== {name}", flush=True)
         recorded = [str(RECORDINGS)] if name == "recorded_cubes" else []
         if recorded and not RECORDINGS.is_dir():
-            print(f"left out: {RECORDINGS} is missing")
+            print(f"omitted: {RECORDINGS} is missing")
             continue
         subprocess.run(
             [sys.executable, "-m", f"benchmarks.{name}", *recorded],

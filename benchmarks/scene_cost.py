@@ -1,4 +1,4 @@
-"""Accuracy against time over the tolerance for three scenes, and the Panda against MuJoCo, in one run.
+"""Accuracy against run time of three scenes for various tolerances, and run time of a Panda against MuJoCo.
 
 python -m benchmarks.scene_cost
 """
@@ -57,7 +57,7 @@ def scenes() -> dict[str, tuple[Scene, np.ndarray, np.ndarray, float]]:
 
 
 def work_precision() -> dict[str, list[dict[str, float]]]:
-    """Return per scene the error at the end against a run at 1e-13, and the time, for each tolerance."""
+    """Return, for each scene and tolerance, the final error relative to a run at 1e-13 and the run time."""
     figures: dict[str, list[dict[str, float]]] = {}
     for name, (scene, q0, v0, duration) in scenes().items():
         reference = simulate(scene, q0, v0, duration, rtol=1e-13, atol=1e-14)
@@ -76,7 +76,7 @@ def work_precision() -> dict[str, list[dict[str, float]]]:
 
 
 def table(figures: dict[str, list[dict[str, float]]]) -> str:
-    """Return error and milliseconds per simulated second of each scene over the tolerance."""
+    """Return errors and milliseconds per simulated second of each scene and tolerance as a table."""
     lines = []
     for name, rows in figures.items():
         lines.append(f"{name}\n  rtol    " + "".join(f"{r['rtol']:9.0e}" for r in rows))

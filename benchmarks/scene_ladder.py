@@ -1,4 +1,4 @@
-"""The ladder: one scene, effects added one by one; what each costs per simulated second and per impact.
+"""Run time of a scene per simulated second and per impact, as effects are added one by one.
 
 python -m benchmarks.scene_ladder
 """

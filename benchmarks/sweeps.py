@@ -1,9 +1,9 @@
-"""Sweep contact-space problems across the boundaries of their regimes, and plot them for docs/hard-cases.md.
+"""Plot impacts along parameters that cross boundaries of regimes, for docs/hard-cases.md.
 
     python -m benchmarks.sweeps
 
 Run from the root of the repository; writes docs/figures/hard-cases.png. Lines are the exact method at 2,001
-places, circles the multiple-precision reference of the tests.
+points, circles the multiple-precision reference of the tests.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.sweeps import SWEEPS, Sweep
 
 
 def main() -> None:
-    """Plot every sweep."""
+    """Plot all families of problems."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -37,7 +37,7 @@ def main() -> None:
         for value in x[20::280]:
             p = sweep.problem(float(value))
             W, v = p.delassus, p.velocity
-            if sweep.factor is not None:  # with all digits: the reference takes a singular W as it is
+            if sweep.factor is not None:  # in multiple precision, so that W is exactly singular
                 F, r = (mp.matrix(x.tolist()) for x in sweep.factor(float(value)))
                 with mp.workprec(400):
                     W, v = (F * F.T).tolist(), list(F * r)
@@ -54,7 +54,7 @@ def main() -> None:
 
 
 def _breaks(sweep: Sweep, x: np.ndarray) -> list[int]:
-    """The intervals in which the map jumps, so that no line is drawn across."""
+    """Return the interval in which the map jumps, where lines are interrupted."""
     if not sweep.jumps:
         return []
     low, _, _ = sweep.close_in(*sweep.steepest(len(x), 1)[0])

@@ -1,4 +1,7 @@
-"""Many impacts at once: what is given once for all rows, held and locked, work, and rows taken out."""
+"""Batches of impacts: broadcast arguments, held contacts and locked joints, work, single rows.
+
+The random states depend on the names of the tests.
+"""
 
 import pickle
 import warnings
@@ -22,7 +25,7 @@ def rng(request):
 
 
 def arm(rng, count):
-    """An arm, one configuration, and velocities that approach."""
+    """Return an arm, a configuration, approaching velocities (count, nv), and a contact."""
     model, data = cases.load("ur5")
     q, v = cases.random_state(model, rng)
     contact = pinimpact.Contact("tool0", PLANE, friction=0.4, restitution=0.6)
@@ -36,10 +39,10 @@ def kinetic(model, data, q, v):
 
 @pytest.mark.parametrize("hold", ["nothing", "locked", "held"])
 def test_one_configuration_and_many_velocities(hold, rng):
-    """Row by row what `impact` says, and the works are the change of kinetic energy."""
+    """Rows agree with `impact`, and the total work is the change of kinetic energy."""
     model, data, q, v, contact = arm(rng, 6)
     keep = {}
-    if hold == "locked":  # at rest, so that what locks them does no work
+    if hold == "locked":  # joints at rest, so that locking them does no work
         keep = {"locked": ["wrist_2_joint", 1]}
         v[:, [0, 4]] = 0.0
     if hold == "held":  # its point cannot move, so the joints below it do not either
@@ -139,7 +142,7 @@ def test_one_matrix_and_many_velocities():
 
 
 @pytest.mark.parametrize("law", pinimpact.LAWS)
-def test_works_found_on_the_way_are_those_found_later(law):
+def test_work_computed_with_the_batch_or_later_is_identical(law):
     rng = np.random.default_rng(4)
     X = rng.normal(size=(50, 3, 4))
     v = rng.normal(size=(50, 3)) - (0, 0, 2)

@@ -1,4 +1,4 @@
-"""Contact space: what must hold for every impact, and what is said of input that cannot be used."""
+"""Impacts in contact space: properties of all solutions, statuses and flags, batches, errors of input."""
 
 import copy
 import pickle
@@ -24,7 +24,7 @@ V = np.array([1.0, 0.5, -1.0])
 
 @st.composite
 def problems(draw, laws=LAWS):
-    """Spatial problems over many scales of slip, friction and coupling, with exact zeros now and then."""
+    """Draw problems over many scales of slip, friction and coupling, some with exact zeros."""
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     columns = draw(st.sampled_from([3, 4, 7]))
@@ -43,7 +43,7 @@ def problems(draw, laws=LAWS):
 
 
 def _sizes(problem, solution):
-    """The sizes of velocities and impulses that occur, against which rounding is measured."""
+    """Return scales of velocities and impulses for tolerances of rounding errors."""
     P = np.abs(solution.impulse).max()  # no squares: they may underflow
     return np.abs(problem.velocity).max() + np.abs(problem.delassus).max() * P, P
 
@@ -259,8 +259,8 @@ def test_unknown_names():
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_an_approach_that_nothing_stops(law, friction):
-    """c = 0: no normal impulse changes v₃."""
+def test_unstoppable_approach(law, friction):
+    """For c = 0 a normal impulse does not change v₃."""
     with pytest.raises(pinimpact.UnstoppableApproachError, match="-1") as caught:
         solve_impact(ImpactProblem(np.diag([1.0, 2.0, 0.0]), V, friction, 0.5, law))
     assert caught.value.field == "velocity"
@@ -268,8 +268,8 @@ def test_an_approach_that_nothing_stops(law, friction):
         solve_impact(ImpactProblem(np.zeros((3, 3)), V, friction, 0.5, law))
 
 
-def test_an_approach_that_friction_blocks():
-    """Rank two, struck with a velocity that W cannot produce: stick holds v₃ below zero for ever."""
+def test_approach_that_sticking_makes_unstoppable():
+    """W has rank two and v is not in its range, so v₃ stays negative while the contact sticks."""
     locked = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])
     with pytest.raises(pinimpact.UnstoppableApproachError, match="give less friction"):
         solve_impact(ImpactProblem(locked, [0.0, 0.0, -1.0], 2.0, 0.5))
@@ -278,7 +278,7 @@ def test_an_approach_that_friction_blocks():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_no_impact(law):
-    """Departing, or touching without anything that drives the surface in."""
+    """Separating contact, or closed contact at rest with positive normal acceleration."""
     for v3 in (0.0, 0.25):
         solution = solve_impact(ImpactProblem(W, [1.0, 0.5, v3], 0.3, 0.5, law))
         assert solution.status == Status.NO_IMPACT
@@ -289,7 +289,7 @@ def test_no_impact(law):
         assert solution.effects == ()
 
 
-def test_what_was_special_is_said():
+def test_flags_and_their_descriptions():
     locked = np.array([[1.0, 0, 1], [0, 2, 0], [1, 0, 1]])
     kinds = {
         Flag.LOCKED | Flag.STICK | Flag.SINGULAR_DELASSUS: ImpactProblem(locked, [-1, 0.5, -1], 3.0, 0.5),
@@ -323,18 +323,18 @@ def test_what_was_special_is_said():
         (ImpactProblem(np.diag([1, 1, 1]), [0.5, 0, -1], 1.0, 0.0), False, ("friction", "stick")),
     ],
 )
-def test_effects_are_those_that_were_computed(problem, record, effects):
+def test_effects(problem, record, effects):
     assert solve_impact(problem, record=record).effects == effects
 
 
 def test_jump_of_the_impact_map():
-    """The restitution that just misses the second compression: P₃ jumps from 1.26 to 10.1."""
+    """P₃ jumps from 1.26 to 10.1 where the second compression starts."""
     edge = [[1.2, 0, 1], [0, 8, 0], [1, 0, 1]]
     P = [solve_impact(ImpactProblem(edge, [0.5, 12, v3], 1.5, 1.0)).impulse[2] for v3 in (-0.52915, -0.5292)]
     assert sorted(P) == pytest.approx([1.26, 10.1], abs=0.05)
 
 
-def test_bad_rows_spoil_no_other():
+def test_invalid_rows_do_not_affect_others():
     good = np.stack([W, 2 * W, W])
     matrices = np.concatenate([good, [np.full((3, 3), np.nan), -W, np.diag([1.0, 1.0, 0.0]), W, W]])
     velocities = np.tile(V, (8, 1))
@@ -395,12 +395,12 @@ def test_other_threads_run_while_rows_are_solved():
     while solver.is_alive():
         counted += 1
         time.sleep(0)
-    # with the lock held to the end, nothing would be counted but the start and the end
+    # if the interpreter lock were held, only the start and the end would be counted
     assert counted > 50
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, "two", None])
-def test_a_number_of_threads_is_asked_for(threads):
+def test_invalid_number_of_threads_raises(threads):
     with pytest.raises(InputError, match="threads") as caught:
         solve_impacts([W], [V], 0.3, 0.5, threads=threads)
     assert caught.value.field == "threads"
@@ -414,7 +414,7 @@ def test_empty_batch():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_stick_and_resumed_slip_are_flagged_with_a_segment_only(law):
-    """Slip that stops exactly as the impact ends sticks no more."""
+    """Slip that stops exactly at the end of the impact is not followed by sticking."""
     at_the_end = ImpactProblem(np.diag([1.0, 1.0, 1.0]), [0.5, 0.0, -1.0], 0.5, 0.0, law)
     solution = solve_impact(at_the_end)
     assert solution.velocity.tolist() == [0.0, 0.0, 0.0]
@@ -430,7 +430,7 @@ def test_stick_and_resumed_slip_are_flagged_with_a_segment_only(law):
 @pytest.mark.parametrize(
     "problem",
     [
-        ImpactProblem(np.eye(3), [0.5, 0.0, -1.0], 0.5, 0.0),  # slip stops as the impact ends
+        ImpactProblem(np.eye(3), [0.5, 0.0, -1.0], 0.5, 0.0),  # slip stops at the end of the impact
         ImpactProblem(np.eye(3), [0.0, 0.0, -1.0], 0.5, 0.5),  # sticks from the start
         ImpactProblem([[1, 0, 0.9], [0, 1, 0], [0.9, 0, 1]], [-0.1, 0.0, -1], 0.3, 0.5),
         ImpactProblem(W, V, 0.3, 0.5, "newton"),
@@ -446,7 +446,7 @@ def test_recorded_points_are_distinct(problem, method):
 def test_solutions_can_be_pickled_and_copied(method, copied):
     options = {"steps": 50} if method == "euler" else {}
     solution = solve_impact(ImpactProblem(W, V, 0.3, 0.5, "energetic"), method, record=True, **options)
-    other = copied(solution)  # before anything was looked at
+    other = copied(solution)  # before any attribute is computed
     assert other.velocity.tolist() == solution.velocity.tolist()
     assert other.segments == solution.segments
     assert other.work == solution.work
@@ -463,7 +463,7 @@ def test_batches_can_be_pickled_and_copied(copied):
 
 
 @pytest.mark.parametrize("field", ["delassus", "velocity", "friction", "restitution"])
-def test_none_is_no_number(field):
+def test_none_raises(field):
     arguments = dict(delassus=[W], velocity=[V], friction=0.3, restitution=0.5) | {field: None}
     with pytest.raises(InputError, match=f"{field}: None given; an array of real numbers") as caught:
         solve_impacts(**arguments)
@@ -495,8 +495,8 @@ def test_laws_are_described():
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_law_counts_what_it_says(law):
-    """What grows in restitution reaches the goal that the registry's equation names."""
+def test_law_satisfies_its_equation(law):
+    """The quantity of restitution that the registry names reaches its goal."""
     from pinimpact.contact_space.laws import COUNTED
 
     e = 0.6

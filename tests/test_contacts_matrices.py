@@ -1,4 +1,7 @@
-"""Gap, J, M and W of contacts, against finite differences, inverse dynamics and dense algebra."""
+"""Gap, J, M and W of contacts, against finite differences, inverse dynamics and dense algebra.
+
+The random states depend on the names of the tests.
+"""
 
 import dataclasses
 import gc
@@ -21,7 +24,7 @@ def rng(request):
 
 
 def points(model, contact, q):
-    """Contact point, gap, normal from forward kinematics of every frame, and the point in both frames."""
+    """Return contact point, gap and normal by forward kinematics, and the point in axes of both frames."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     surface, frame = contact.plane, data.oMf[model.getFrameId(contact.frame)]
@@ -53,7 +56,7 @@ def test_gap_and_jacobian_are_those_of_the_moving_points(rng, body, surface):
         assert np.abs(matrices.axes - contact_axes(normal)).max() < 1e-14
 
         def displacement(t, q=q, v=v, contact=contact, in_frame=in_frame, in_carrier=in_carrier):
-            """How far the two material points at the contact move apart."""
+            """Return the relative displacement of the two material points at the contact."""
             moved = model.createData()
             pin.framesForwardKinematics(model, moved, pin.integrate(model, q, t * v))
             carried = in_carrier
@@ -136,8 +139,8 @@ def test_a_sphere_without_end_is_a_plane(rng):
         assert abs(one.gap - other.gap) < sagitta
         for field in ("axes", "delassus", "jacobian", "surface_velocity"):
             expected = getattr(one, field)
-            off = np.abs(expected - getattr(other, field)).max()
-            assert off < 30 * sagitta * max(1.0, np.abs(expected).max()), field
+            error = np.abs(expected - getattr(other, field)).max()
+            assert error < 30 * sagitta * max(1.0, np.abs(expected).max()), field
         hits = [pinimpact.impact(model, data, q, -np.sign(one.velocity(v)[2]) * v, c) for c in (flat, curved)]
         assert np.abs(hits[0].v - hits[1].v).max() < 100 * sagitta * np.abs(hits[0].v).max()
 
@@ -157,7 +160,7 @@ def test_axes_on_a_sphere_are_those_of_its_normal_wherever_the_tip_is(rng):
         assert seen.axes[2] == pytest.approx(normal, abs=1e-15)
 
 
-def test_a_tip_inside_a_sphere_and_at_its_very_centre():
+def test_tip_inside_sphere_and_at_its_centre():
     model, data = cases.load("ellipsoid")
     q = pin.neutral(model)
     for depth in (0.1, 0.3, 0.5):
@@ -255,7 +258,7 @@ def test_changes_of_the_model_between_calls_are_seen(rng):
     assert late.gap(model, model.createData(), q) == 1.0
 
 
-def test_two_models_do_not_share_what_is_remembered():
+def test_data_of_another_model_raise():
     panda, data = cases.load("panda")
     ur5, _ = cases.load("ur5")
     contact = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane())
@@ -265,7 +268,7 @@ def test_two_models_do_not_share_what_is_remembered():
 
 
 @pytest.mark.parametrize("data", [None, 3, pin.Model()])
-def test_data_that_are_none(data):
+def test_invalid_data_raise(data):
     model, _ = cases.load("ur5")
     state, contact = (pin.neutral(model), np.zeros(model.nv)), pinimpact.Contact("tool0", pinimpact.Plane())
     for call in (
@@ -321,10 +324,10 @@ def test_data_of_another_robot_of_the_same_size(other, message):
         with pytest.raises(pinimpact.InputError, match=f"data: made for another robot, whose {message}"):
             call(other.createData())
         call(model.createData())
-    call(chain(pin.JointModelRX(), pin.JointModelRevoluteUnaligned(axis)).createData())  # its equal will do
+    call(chain(pin.JointModelRX(), pin.JointModelRevoluteUnaligned(axis)).createData())  # equal
 
 
-def test_a_model_without_joints_is_told():
+def test_model_without_joints_raises():
     model = pin.Model()
     contact = pinimpact.Contact(0, pinimpact.Plane(point=(0, 0, -0.5)))
     nothing = np.zeros(0)
@@ -344,7 +347,7 @@ INERTIAL = (
 )
 
 
-def test_mimic_joints_move_as_they_are_told():
+def test_mimic_joints():
     gripper = cases.gripper("left", INERTIAL)
     coupled, free = pin.buildModelFromXML(gripper, mimic=True), pin.buildModelFromXML(gripper)
     assert (coupled.nv, free.nv) == (2, 3)
@@ -366,8 +369,8 @@ def test_mimic_joints_move_as_they_are_told():
         assert pinimpact.impacts(coupled, data, q, v, struck).v[0].tolist() == hit.v.tolist()
 
 
-def test_a_mimic_joint_of_a_robot_with_one_velocity():
-    # Pinocchio has the Jacobian of such a frame as a vector
+def test_mimic_joint_of_robot_with_one_velocity():
+    # Pinocchio returns the Jacobian of such a frame as a vector
     limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
     model = pin.buildModelFromXML(
         f"""<robot name="fold"><link name="world"/><link name="arm">{INERTIAL}</link>
@@ -381,7 +384,7 @@ def test_a_mimic_joint_of_a_robot_with_one_velocity():
     assert model.nv == 1
     angle, rate = 0.4, 0.7
     tip = pinimpact.Contact("hand", pinimpact.Plane(), offset=(1, 0, 0), restitution=0.5)
-    # arm and hand at angles of ∓angle below the horizontal: the tip moves along x
+    # arm and hand are at ∓angle to the horizontal, so the tip moves along x
     across = pinimpact.Contact("hand", pinimpact.Plane(normal=(1, 0, 0)), offset=(1, 0, 0), restitution=0.5)
     matrices = pinimpact.contact_matrices(model, model.createData(), [angle], across)
     assert np.allclose(matrices.jacobian, [[0.0], [0.0], [-2.0 * np.sin(angle)]], atol=1e-15)
@@ -416,7 +419,7 @@ def test_unknown_frames(changes, error, message):
             call(model, data, pin.neutral(model))
 
 
-def test_a_name_that_several_frames_bear():
+def test_ambiguous_frame_name():
     model, data = cases.load("z1")
     names = [frame.name for frame in model.frames]
     twice = next(name for name in names if names.count(name) > 1)
@@ -445,18 +448,18 @@ def test_a_name_that_several_frames_bear():
         ("frame", 1.0),
     ],
 )
-def test_a_contact_refuses_what_is_out_of_range(field, value):
+def test_contact_with_value_out_of_range_raises(field, value):
     with pytest.raises(pinimpact.InputError, match=field) as caught:
         pinimpact.Contact(**({"frame": "tip", "plane": pinimpact.Plane()} | {field: value}))
     assert caught.value.field == field
 
 
-def test_a_contact_refuses_an_unknown_law():
+def test_contact_with_unknown_law_raises():
     with pytest.raises(pinimpact.UnknownNameError, match="did you mean 'poisson'"):
         pinimpact.Contact("tip", pinimpact.Plane(), law="poison")
 
 
-def test_contacts_are_values():
+def test_contacts_are_compared_by_value():
     one, other = (
         pinimpact.Contact("tip", pinimpact.Plane(), offset=offset) for offset in ([0, 0, 1], (0.0, 0.0, 1.0))
     )
@@ -475,7 +478,7 @@ def test_contacts_are_values():
         ([0, 0, 0, 0, 0, 0, 0], r"pinocchio\.normalize"),
     ],
 )
-def test_a_configuration_that_is_none(q, message):
+def test_invalid_configuration_raises(q, message):
     robot = pinimpact.load_robot("ellipsoid")
     contact = pinimpact.Contact("tip", pinimpact.Plane())
     for call in (
@@ -487,7 +490,7 @@ def test_a_configuration_that_is_none(q, message):
             call(robot.model, robot.data, q)
 
 
-def test_a_link_without_inertia_is_named_and_can_be_armed_or_locked():
+def test_link_without_inertia_needs_armature_or_lock():
     model, data = cases.load("romeo")
     contact = pinimpact.Contact("l_sole", pinimpact.Plane())
     q = pin.neutral(model)

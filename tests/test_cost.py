@@ -1,4 +1,4 @@
-"""The measurement of accuracy against time, and Pinocchio's solvers beside it; no test looks at a clock."""
+"""Benchmark of accuracy against run time, with a simulated clock, and Pinocchio's solvers."""
 
 import itertools
 import json
@@ -17,19 +17,19 @@ CLASSES = cost.problem_classes()
 TWO = {name: CLASSES[name] for name in ("smooth slip", "planar")}
 
 
-TICK = 2.0**-20  # sums of it are exact
+TICK = 2.0**-20  # advance of the simulated clock [s]; its sums are exact
 
 
 @pytest.fixture(scope="module")
 def report():
-    """A report by a clock that advances by the same time whenever it is read."""
+    """Return a report by a clock that advances by `TICK` whenever it is read."""
     ticks = itertools.count()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cost, "time", SimpleNamespace(perf_counter=lambda: TICK * next(ticks)))
         return cost.run_cost(TWO, methods=("exact", "rk4", "adaptive"), repeats=1, time_cap=60.0)
 
 
-def test_classes_are_what_they_are_called():
+def test_flags_of_problem_classes():
     flags = {name: solve_impact(problem).flags for name, problem in CLASSES.items()}
     assert flags["smooth slip"] == Flag.SLIP_TURNED
     assert Flag.STICK in flags["slip to stick"]
@@ -50,7 +50,7 @@ def test_every_setting_is_measured(report):
     assert report.problems == tuple(TWO)
     count = 1 + len(cost.SETTINGS["rk4"]) + len(cost.SETTINGS["adaptive"])
     assert len(report.points) == 2 * count
-    per_call = TICK / math.ceil(cost.BATCH / TICK)  # one reading later, over as many calls as fill a batch
+    per_call = TICK / math.ceil(cost.BATCH / TICK)  # one tick per batch
     for point in report.points:
         assert point.call_seconds == per_call
         assert point.seconds == per_call
@@ -81,7 +81,7 @@ def test_cheapest_setting_within_a_target(report):
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, math.nan, math.inf])
-def test_a_target_that_is_none(report, target):
+def test_invalid_target_raises(report, target):
     with pytest.raises(InputError, match="target"):
         report.cheapest(target)
 
@@ -103,7 +103,7 @@ def test_raw_figures_and_diagram(report, tmp_path):
     assert (tmp_path / "cost.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_method_that_fails_has_nan(monkeypatch, tmp_path):
+def test_failing_method_has_nan(monkeypatch, tmp_path):
     def load():
         def run(inputs, trace, path):
             raise InputError("no answer")
@@ -134,7 +134,7 @@ def test_durations(seconds, text):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_pinocchio_agrees_where_slip_keeps_its_direction(solver):
+def test_pinocchio_agrees_for_slip_of_constant_direction(solver):
     for name in ("planar", "frictionless"):
         problem = CLASSES[name]
         path = solve_impact(ImpactProblem(problem.delassus, problem.velocity, problem.friction, 0.0))
@@ -144,8 +144,8 @@ def test_pinocchio_agrees_where_slip_keeps_its_direction(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_pinocchio_solves_its_own_model(solver):
-    # friction at the edge of the cone, opposed to the final slip; the path ends elsewhere
+def test_pinocchio_friction_opposes_final_slip(solver):
+    # the solution obeys Coulomb's law for the final slip, and differs from that by integration
     problem = CLASSES["smooth slip"]
     v, P = solve_constraint(problem.delassus, problem.velocity, problem.friction, solver)
     slip = v[:2] / np.linalg.norm(v[:2])

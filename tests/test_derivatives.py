@@ -1,4 +1,4 @@
-"""Derivatives of an impact: differences in multiple precision, closed forms, identities, boundaries."""
+"""Derivatives in contact space against multiple precision, closed forms and identities; boundaries."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ REGIMES = {
     "frictionless": Flag.NONE,
     "scaled": Flag.NONE,
 }
-"""Recipes of random problems, and a flag that some of their impacts have to have."""
+"""Recipes of random problems, and the flag that the drawn impact must have."""
 
 
 def drawn(category, law, seed):
-    """Return W, v, μ and e of a random problem that has the regime's flag, and its derivatives."""
+    """Return W, v, μ and e of a random problem with the flag of its regime, and its derivatives."""
     rng = np.random.default_rng((31, list(RECIPES).index(category), LAWS.index(law), seed))
     while True:
         W, v, mu = RECIPES[category](rng)
@@ -43,7 +43,7 @@ def drawn(category, law, seed):
 
 
 def columns_of(d):
-    """Return derivatives as (6, 11): rows v⁺ and P, columns as in `slopes`; W's symmetric changes in one."""
+    """Return derivatives (6, 11): rows v⁺ and P, columns as in `slopes`, one for each pair of W_ij = W_ji."""
     both = []
     for name in "vP":
         by_delassus = getattr(d, f"d{name}_ddelassus") * (2.0 - np.eye(3))
@@ -53,9 +53,9 @@ def columns_of(d):
 
 
 def error(found, reference, W, v):
-    """Return the largest error of a group of derivatives, of v⁺ or P by v°, W, μ or e, over its norm.
+    """Return the largest error of the derivatives of v⁺ or P by v°, W, μ or e, relative to their norm.
 
-    Where a group vanishes, over that of a derivative of order one.
+    The norm is at least that of a derivative of order one.
     """
     worst = 0.0
     speed, inertia = float(np.linalg.norm(v)), float(np.linalg.norm(W))
@@ -63,14 +63,14 @@ def error(found, reference, W, v):
         groups = (slice(0, 3), speed), (slice(3, 9), inertia), (slice(9, 10), 1.0), (slice(10, 11), 1.0)
         for group, by in groups:
             size = max(float(np.linalg.norm(reference[rows, group])), unit / by)
-            off = float(np.linalg.norm(found[rows, group] - reference[rows, group])) / size
-            worst = off if not off < worst else worst
+            relative = float(np.linalg.norm(found[rows, group] - reference[rows, group])) / size
+            worst = relative if not relative < worst else worst
     return worst
 
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("category", REGIMES)
-def test_differences_in_multiple_precision(category, law):
+def test_random_problems_against_multiple_precision(category, law):
     W, v, mu, e, d = drawn(category, law, 0)
     found, known = columns_of(d), np.arange(INPUTS)
     if category == "no slip" and d.boundary == Boundary.START_AT_REST:
@@ -85,7 +85,7 @@ def test_differences_in_multiple_precision(category, law):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(("e", "mu"), [(0.0, 0.3), (1.0, 0.3), (0.5, 0.0)])
-def test_slopes_at_bounds_are_those_into_the_range(law, e, mu):
+def test_derivatives_at_bounds_are_one_sided(law, e, mu):
     rng = np.random.default_rng(5)
     W, v, _ = RECIPES["smooth slip"](rng)
     d = pinimpact.solve_impact(ImpactProblem(W, v, mu, e, law), derivatives=True).derivatives
@@ -119,7 +119,7 @@ def test_identities_of_scaling_and_of_rotation(category, law):
         assert (np.linalg.norm(change - expected, axis=1) / terms)[good].max() < 1e-9
 
 
-def test_friction_of_zero_in_closed_form():
+def test_zero_friction_in_closed_form():
     W, v, _, e, _ = many("frictionless", "poisson", 50)
     d = pinimpact.solve_impacts(W, v, 0.0, e, derivatives=True).derivatives
     # v⁺ = v − (1 + e) W n v₃/W₃₃
@@ -130,7 +130,7 @@ def test_friction_of_zero_in_closed_form():
     assert np.abs(d.dv_drestitution + column * v[:, 2][:, None]).max() < 1e-12
 
 
-def test_a_batch_has_the_derivatives_of_its_rows():
+def test_batch_has_the_derivatives_of_its_rows():
     W, v, mu, e, batch = many("slip to stick", "energetic", 40)
     plain = pinimpact.solve_impacts(W, v, mu, e, "energetic")
     assert plain.derivatives is None
@@ -143,7 +143,7 @@ def test_a_batch_has_the_derivatives_of_its_rows():
         assert np.array_equal(one.dP_dfriction, batch.derivatives.dP_dfriction[k])
 
 
-def test_a_bad_row_has_nan():
+def test_invalid_row_has_nan():
     velocity = np.array([[1.0, 0.0, -1.0], [1.0, 0.0, np.nan]])
     d = pinimpact.solve_impacts(np.eye(3), velocity, 0.3, 0.5, derivatives=True).derivatives
     assert np.isfinite(d.dv_dv[0]).all()
@@ -158,21 +158,21 @@ def at(W, v, mu, e=0.5, law="poisson"):
     return pinimpact.solve_impact(ImpactProblem(W, v, mu, e, law), derivatives=True).derivatives
 
 
-def test_separating_contacts_change_nothing():
+def test_separating_contact():
     d = at(W0, [1.0, 0.0, 0.5], 0.3)
     assert np.array_equal(d.dv_dv, np.eye(3))
     assert not d.dP_ddelassus.any()
     assert d.boundary == Boundary.NONE
 
 
-def test_grazing_has_a_side():
+def test_grazing_contact():
     d = at(W0, [1.0, 0.0, 0.0], 0.3)
     assert d.boundary == Boundary.GRAZING
     assert np.isnan(d.dv_dv[:, 2]).all()
     assert np.array_equal(d.dv_dv[:, :2], np.eye(3)[:, :2])
 
 
-def test_start_at_rest_is_a_cone_only_where_slip_begins():
+def test_start_at_rest_is_a_boundary_only_if_slip_starts():
     sticks, slips = at(W0, [0.0, 0.0, -1.0], 2.0), at(W0, [0.0, 0.0, -1.0], 0.05)
     assert sticks.boundary == Boundary.NONE
     assert np.isfinite(sticks.dv_dv).all()
@@ -181,8 +181,8 @@ def test_start_at_rest_is_a_cone_only_where_slip_begins():
     assert np.isfinite(slips.dv_dv[:, 2]).all()
 
 
-def test_slip_that_stops_along_an_unstable_direction_is_as_a_start_from_rest():
-    # it leaves that direction when its speed is 1e-24 only; then it resumes
+def test_slip_that_stops_along_unstable_direction_is_a_start_at_rest():
+    # slip departs from that direction at a speed of 1e-24, then it resumes
     W = np.array(
         [
             [0.8065653127910517, 0.28221143872614274, -0.17857665026509545],
@@ -199,15 +199,15 @@ def test_slip_that_stops_along_an_unstable_direction_is_as_a_start_from_rest():
     assert np.isfinite(d.dv_drestitution).all()
 
 
-def test_slip_that_turns_round_in_a_plane_of_symmetry():
-    # slips back after it stopped; what it has across then goes as a power of what it had, of more than one
+def test_slip_that_reverses_in_a_plane_of_symmetry():
+    # after the reversal the velocity across the plane is a power, of exponent above one, of that before
     def mass(across):
         return np.array([[1.5, 0.0, 1.0], [0.0, across, 0.0], [1.0, 0.0, 1.3]])
 
     W, v, mu = mass(0.3), [-0.05, 0.0, -1.0], 0.5
     d = at(W, v, mu)
     assert d.boundary == Boundary.EVENTS_COINCIDE
-    assert at(mass(1.8), v, mu).boundary == Boundary.NONE  # a power of more than two
+    assert at(mass(1.8), v, mu).boundary == Boundary.NONE  # exponent above two
     known = [0, 2, 3, 5, 8, 9, 10]
     in_plane = slopes(W, v, mu, 0.5, "poisson", known)
     assert error(columns_of(d)[:, known], in_plane[:, known], W, v) < 1e-9
@@ -219,8 +219,8 @@ def test_slip_that_turns_round_in_a_plane_of_symmetry():
     assert np.log10(ends[0] / ends[1]) == pytest.approx(power, rel=1e-3)
 
 
-def test_panels_are_short_enough_for_the_work_of_slip_that_stops_at_high_friction():
-    # a panel around an invariant direction on which r²/g grows by e¹⁸ misses 3e-9
+def test_panels_of_slip_that_stops_at_high_friction():
+    # if r²/g grew by e¹⁸ on a panel around an invariant direction, the error of the work would be 3e-9
     W = np.array(
         [
             [1.1670477719786607, 0.31911605103589463, -0.478686692372857],
@@ -234,8 +234,8 @@ def test_panels_are_short_enough_for_the_work_of_slip_that_stops_at_high_frictio
     assert error(found, slopes(W, v, mu, e, "energetic"), W, v) < 2e-10
 
 
-def test_slip_that_settles_by_more_than_doubles_hold():
-    # the angle to its direction falls by a factor exp(1111) until compression ends
+def test_slip_whose_angle_underflows():
+    # the angle to the invariant direction decreases by a factor exp(1111) until the end of compression
     W = np.array(
         [
             [0.06508752890705019, -0.010112761333167335, 0.20504168993138364],
@@ -282,8 +282,8 @@ def test_slip_that_settles_by_more_than_doubles_hold():
         ),
     ],
 )
-def test_slip_that_stops_while_it_turns_and_resumes(law, triangle, v, mu, e):
-    # its direction settles slowly while its speed falls below rounding
+def test_slip_that_stops_while_turning_and_resumes(law, triangle, v, mu, e):
+    # the direction converges slowly while the speed decreases below rounding errors
     W = np.zeros((3, 3))
     W[UPPER] = triangle
     W = W + np.triu(W, 1).T
@@ -292,7 +292,7 @@ def test_slip_that_stops_while_it_turns_and_resumes(law, triangle, v, mu, e):
     assert error(columns_of(d), slopes(W, v, mu, e, law), W, v) < 1e-9
 
 
-def test_threshold_of_stick_has_sides_for_what_moves_it():
+def test_stick_threshold_is_a_boundary():
     W = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])
     v = [0.0, 0.0, -1.0]
     d = at(W, v, RATIO[2])
@@ -306,8 +306,8 @@ def test_threshold_of_stick_has_sides_for_what_moves_it():
 
 
 @pytest.mark.parametrize("law", pinimpact.LAWS)
-def test_slow_slip_at_the_threshold_of_stick(law):
-    # it hardly gains speed: the slower it is, the longer is its path in terms of its speed
+def test_slow_slip_at_the_stick_threshold(law):
+    # the speed hardly grows, so a slower slip takes a longer path relative to its speed
     W = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])
     for speed in (1e-4, 1e-12):
         v = [speed, 0.0, -1.0]
@@ -317,16 +317,16 @@ def test_slow_slip_at_the_threshold_of_stick(law):
 
 
 @pytest.mark.parametrize(("share", "known"), [(1.0, True), (1.5, False)])
-def test_slip_that_ends_with_a_phase_has_sides(share, known):
-    # slip stops at P₃ = |v₃°|/c times the share: at the end of compression, or of the impact
+def test_slip_that_stops_at_the_end_of_a_phase(share, known):
+    # slip stops at P₃ = share · |v₃°|/c, the end of compression or of the impact
     d = at(np.diag([1.0, 1.0, 1.0]), [0.5 * share, 0.0, -1.0], 0.5)
     assert d.boundary == Boundary.EVENTS_COINCIDE
     assert np.isnan(d.dv_dv).all()
     assert np.isfinite(d.dv_drestitution).all() == known
 
 
-def test_a_jump_is_flagged():
-    # jam without approach: an impact here, none for the least separation
+def test_jump_is_flagged():
+    # impact without collision at v₃ = 0; no impact at any v₃ > 0
     W = np.array([[1.2, 0.0, 1.0], [0.0, 8.0, 0.0], [1.0, 0.0, 1.0]])
     d = at(W, [1.0, 0.0, 0.0], 1.5)
     assert d.boundary == Boundary.JUMP
@@ -334,8 +334,8 @@ def test_a_jump_is_flagged():
     assert np.isfinite(d.dv_dv[:, :2]).all()
 
 
-def test_slopes_grow_without_bound_towards_a_jump():
-    """Newton's law: the peak of v₃ just reaches the goal; slopes like 1/√distance, and NaN at the end."""
+def test_derivatives_are_unbounded_towards_a_jump():
+    """The maximum of v₃ approaches the goal of Newton's law, and derivatives grow as 1/√distance."""
     W, v, mu = np.array([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]]), np.array([0.5, 12, -0.5]), 1.5
     low, high = 0.01, 0.99
 
@@ -357,7 +357,7 @@ def test_rank_is_flagged():
     W = np.array([[1.0, 0.0, 0.3], [0.0, 0.0, 0.0], [0.3, 0.0, 1.0]])
     d = at(W, [1.0, 0.0, -1.0], 0.2)
     assert d.boundary == Boundary.RANK
-    # in its plane the same as with a bit of freedom across
+    # in its plane equal to those with mobility across it
     other = at(W + np.diag([0.0, 1.0, 0.0]), [1.0, 0.0, -1.0], 0.2)
     plane = np.ix_([0, 2], [0, 2])
     assert np.abs(d.dv_dv[plane] - other.dv_dv[plane]).max() < 1e-12
@@ -366,7 +366,7 @@ def test_rank_is_flagged():
 
 THRESHOLD = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])
 SIDES = {
-    # W, v, μ, the power of the reference's step, and columns along which the boundary goes on
+    # W, v, μ, negative exponent of the reference's step, and columns along which the boundary continues
     "start at rest": (W0, [0.0, 0.0, -1.0], 0.05, 20, []),
     "grazing": (W0, [1.0, 0.0, 0.0], 0.3, 12, []),
     "threshold": (THRESHOLD, [0.0, 0.0, -1.0], RATIO[2], 12, []),
@@ -377,7 +377,7 @@ SIDES = {
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("kind", SIDES)
-def test_derivatives_to_one_side(kind, side):
+def test_one_sided_derivatives(kind, side):
     W, v, mu, power, along = SIDES[kind]
     problem = ImpactProblem(W, v, mu, 0.5)
     both = columns_of(pinimpact.solve_impact(problem, derivatives=True).derivatives)
@@ -390,8 +390,8 @@ def test_derivatives_to_one_side(kind, side):
     assert np.abs(found - reference)[:, wanted].max() < 2e-8
 
 
-def test_where_v_jumps_only_one_side_has_a_slope():
-    # no impact for the least separation, and for the least approach the one that takes place here
+def test_one_sided_derivatives_at_a_jump():
+    # no impact at v₃ > 0; v⁺ is continuous for v₃ ≤ 0
     problem = ImpactProblem(
         np.array([[1.2, 0.0, 1.0], [0.0, 8.0, 0.0], [1.0, 0.0, 1.0]]), [1.0, 0, 0], 1.5, 0.5
     )
@@ -401,8 +401,8 @@ def test_where_v_jumps_only_one_side_has_a_slope():
     assert np.abs(columns_of(behind)[:, 2] - reference[:, 2]).max() < 1e-9
 
 
-def test_slopes_that_grow_without_bound_have_no_side():
-    # a root of the distance to an event at which the peak of v₃ just reaches the goal of Newton's law
+def test_unbounded_derivatives_have_no_one_sided_ones():
+    # the maximum of v₃ is just at the goal of Newton's law: derivatives grow as 1/√distance
     W, v, mu = np.array([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]]), np.array([0.5, 12, -0.5]), 1.5
     low, high = 0.01, 0.99
     for _ in range(60):
@@ -422,7 +422,7 @@ def test_slopes_that_grow_without_bound_have_no_side():
         ({"side": 1}, "without derivatives"),
     ],
 )
-def test_sides_that_there_are_not(options, words):
+def test_invalid_side_raises(options, words):
     with pytest.raises(pinimpact.InputError, match=f"side: .*{words}"):
         pinimpact.solve_impact(ImpactProblem(W0, [1, 0, -1], 0.3, 0.5), **options)
 
@@ -438,6 +438,6 @@ def test_boundaries_have_sentences():
         (ImpactProblem(W0, [1, 0, -1], 0.3, 0.5), {"method": "euler"}, "the method 'euler'"),
     ],
 )
-def test_what_has_no_derivatives_is_refused(problem, options, words):
+def test_methods_without_derivatives_raise(problem, options, words):
     with pytest.raises(pinimpact.InputError, match=words):
         pinimpact.solve_impact(problem, derivatives=True, **options)

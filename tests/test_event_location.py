@@ -1,4 +1,4 @@
-"""Where events are located, against the roots of the polynomials that a step's dense output is made of."""
+"""Location of events in a step, against the roots of polynomials that its dense output represents."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ START, H = 0.3, 0.07
 
 @numba.njit
 def first_limit(work, end):
-    """Return when a limit is reached; events are looked for in kernels only."""
+    """Call the kernel that locates the first event at a joint limit."""
     return joint_limit.first(work, end)
 
 
@@ -32,7 +32,7 @@ def first_reversal(work, end):
 
 
 def basis():
-    """Return the polynomials that the rows of a dense output multiply: θ, θ(1 − θ), θ²(1 − θ), …"""
+    """Return the basis polynomials of the dense output: θ, θ(1 − θ), θ²(1 − θ), …"""
     found, factor = [], Polynomial([0.0, 1.0])
     for k in range(7):
         found.append(factor)
@@ -44,7 +44,7 @@ MATRIX = np.array([np.pad(one.coef[1:], (0, 7 - len(one.coef[1:]))) for one in b
 
 
 def coefficients(increment):
-    """Return the column of a dense output for a polynomial without a constant."""
+    """Return the coefficients of a polynomial without a constant term in this basis."""
     return np.linalg.solve(MATRIX, np.pad(increment.coef[1:], (0, 8 - len(increment.coef))))
 
 
@@ -60,7 +60,7 @@ def dynamics():
 
 
 def take_step(work, height):
-    """Let a step of the third joint be a polynomial of θ = (t − START)/H."""
+    """Set the dense output to a step in which the third joint follows a polynomial of θ = (t − START)/H."""
     speed = height.deriv() / H
     work.step_start, work.step_length = START, H
     for end, q, v in ((0.0, work.q0, work.v0), (1.0, work.q1, work.v1)):
@@ -112,13 +112,13 @@ def test_a_gap_closes_at_the_first_root_however_short_the_dip(dynamics, start, s
     assert time <= START + cut * H
 
 
-def test_a_dip_of_a_thousandth_of_the_step_is_found(dynamics):
-    """(θ − 0.6)² − 2.5·10⁻⁷: below zero for 10⁻³ of the step, far from where it is sampled."""
+def test_penetration_for_a_thousandth_of_the_step_is_found(dynamics):
+    """The gap (θ − 0.6)² − 2.5·10⁻⁷ is negative for 10⁻³ of the step, far from sample points."""
     work = dynamics.work
     take_step(work, Polynomial([0.36 - 2.5e-7, -1.2, 1.0]))
     time, _ = first_limit(work, START + H)
     assert time == pytest.approx(START + (0.6 - 5e-4) * H, abs=1e-10)
-    take_step(work, Polynomial([0.36 + 1e-10, -1.2, 1.0]))  # and here it is not below zero at all
+    take_step(work, Polynomial([0.36 + 1e-10, -1.2, 1.0]))  # positive everywhere
     assert first_limit(work, START + H)[0] == math.inf
 
 

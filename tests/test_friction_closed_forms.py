@@ -1,4 +1,4 @@
-"""Rest, the onset of slip and its end under loads drawn at random, against closed forms."""
+"""Sticking, onset and end of slip under random loads, against closed forms."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TOLERANCES = st.sampled_from([1e-4, 1e-6, 1e-8, 1e-10])
 
 
 def powers(low, high):
-    """Numbers whose decimal logarithms are even."""
+    """Draw powers of ten with uniform exponents."""
     return st.floats(low, high).map(lambda x: 10.0**x)
 
 

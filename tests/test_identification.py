@@ -1,4 +1,4 @@
-"""Friction and restitution from measured impacts."""
+"""Identification of friction and restitution from measured impacts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CUBES = Path(__file__).parents[2] / "shared" / "data" / "cube_tosses" / "impacts
 
 
 def random_bodies(count: int, rng: np.random.Generator):
-    """Return W and v⁻ of corners of unit mass bodies that strike at random."""
+    """Return W and v⁻ of random impacts at corners of bodies of unit mass."""
     arms = rng.normal(size=(count, 3, 3)) * [[[1.2], [1.2], [0.6]]]
     delassus = np.eye(3) + arms @ np.swapaxes(arms, 1, 2)
     velocity = rng.normal(size=(count, 3))
@@ -26,7 +26,7 @@ def random_bodies(count: int, rng: np.random.Generator):
 
 
 def cube_scene(d):
-    """Return a scene of the tossed cube, of mass 1 in its own metres."""
+    """Return a scene of the tossed cube with unit mass, in the length unit of the data."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "cube")
     model.appendBodyToJoint(
@@ -62,7 +62,7 @@ def cubes():
 
 @pytest.mark.parametrize("law", pinimpact.LAWS)
 @pytest.mark.parametrize("loss", ["linear", "soft_l1"])
-def test_exact_impacts_give_their_coefficients_back(law: str, loss: str) -> None:
+def test_fit_of_exact_impacts(law: str, loss: str) -> None:
     W, before = random_bodies(40, np.random.default_rng(1))
     after = solve_impacts(W, before, 0.21, 0.43, law=law).velocity
     fit = studies.identify((W, before, after), law=law, loss=loss)
@@ -71,7 +71,7 @@ def test_exact_impacts_give_their_coefficients_back(law: str, loss: str) -> None
     assert fit.interval(0.99).ravel() == pytest.approx([0.21, 0.21, 0.43, 0.43], abs=1e-6)
 
 
-def test_contacts_of_a_robot_have_coefficients_of_their_own() -> None:
+def test_coefficients_of_single_contacts_of_a_robot() -> None:
     robot = load_robot("solo12")
     rng = np.random.default_rng(2)
     truth = {"FL_FOOT": (0.15, 0.2), "FR_FOOT": (0.3, 0.2)}
@@ -95,7 +95,7 @@ def test_contacts_of_a_robot_have_coefficients_of_their_own() -> None:
 
 
 def tosses(rng: np.random.Generator, groups: int = 60, each: int = 3):
-    """Return noisy impacts of tosses, each with its own friction, and the labels of the tosses."""
+    """Return noisy impacts of tosses, whose friction varies from toss to toss, and the index of the toss."""
     group = np.repeat(np.arange(groups), each)
     W, before = random_bodies(len(group), rng)
     before[:, :2] += np.sign(before[:, :2])  # fast slip
@@ -105,7 +105,7 @@ def tosses(rng: np.random.Generator, groups: int = 60, each: int = 3):
 
 
 @pytest.mark.slow
-def test_standard_errors_are_the_scatter_of_estimates() -> None:
+def test_standard_errors_agree_with_scatter_of_estimates() -> None:
     rng = np.random.default_rng(3)
     fits, naive = [], []
     for _ in range(150):
@@ -113,28 +113,28 @@ def test_standard_errors_are_the_scatter_of_estimates() -> None:
         fits.append(studies.identify(found, group=group))
         naive.append(studies.identify(found).standard_errors)
     scatter = np.std([fit.x for fit in fits], axis=0)
-    # a standard deviation of 150 numbers has an error of 6 %
+    # a standard deviation of 150 numbers has a standard error of 6 %
     assert np.mean([fit.standard_errors for fit in fits], axis=0) == pytest.approx(scatter, rel=0.18)
     assert np.mean(naive, axis=0)[0] < 0.8 * scatter[0]  # impacts of a toss are not independent
     inside = [(fit.interval()[:, 0] <= (0.16, 0.27)) & (fit.interval()[:, 1] >= (0.16, 0.27)) for fit in fits]
-    assert np.all(np.sum(inside, axis=0) >= 134)  # fewer of 150 have a probability of 0.2 % at 95 %
+    assert np.all(np.sum(inside, axis=0) >= 134)  # fewer have a probability of 0.2 % for intervals of 95 %
 
 
-def test_an_outlier_has_less_weight_with_the_soft_loss() -> None:
+def test_outlier_has_less_weight_with_soft_loss() -> None:
     W, before = random_bodies(60, np.random.default_rng(4))
     after = solve_impacts(W, before, 0.2, 0.4).velocity
     after += 0.001 * np.random.default_rng(5).normal(size=after.shape)
     after[7] += [2.0, 0.0, 3.0]
-    off = {
+    error = {
         loss: np.abs(studies.identify((W, before, after), loss=loss).x - [0.2, 0.4]).max()
         for loss in ("linear", "soft_l1")
     }
-    assert off["soft_l1"] < 0.1 * off["linear"]
+    assert error["soft_l1"] < 0.1 * error["linear"]
 
 
 @pytest.mark.parametrize("sideways", [0.0, 1e-16, 1e-9, 0.005])
 def test_components_without_errors_do_not_set_the_scale_of_the_loss(sideways: float) -> None:
-    """A ball falls straight down 30 times, and one rebound is recorded with the wrong sign: e is 0.5."""
+    """A ball falls vertically 30 times with e = 0.5, and one rebound is recorded with the wrong sign."""
     rng = np.random.default_rng(0)
     before, after = np.zeros((2, 30, 3))
     before[:, 2], after[:, 2] = -2.0, 1.0 + 0.005 * rng.normal(size=30)
@@ -143,7 +143,7 @@ def test_components_without_errors_do_not_set_the_scale_of_the_loss(sideways: fl
     fit = studies.identify(
         (np.tile(np.eye(3), (30, 1, 1)), before, after), free={"restitution": (0, 1)}, fixed={"friction": 0.3}
     )
-    mean = (after[:, 2] / 2.0).mean()  # what least squares finds, off by the outlier
+    mean = (after[:, 2] / 2.0).mean()  # result of least squares, with the error due to the outlier
     assert abs(fit.x[0] - 0.5) < 0.1 * abs(mean - 0.5)
     low, high = fit.interval()[0]
     assert low < 0.5 < high
@@ -151,8 +151,8 @@ def test_components_without_errors_do_not_set_the_scale_of_the_loss(sideways: fl
     assert not fit.unidentified
 
 
-def test_a_fit_without_a_usual_size_of_residuals_has_the_interval_of_least_squares() -> None:
-    """More than half of the impacts are exact; e is the mean, and its error that of leaving one out."""
+def test_fit_with_zero_median_of_residuals_is_least_squares() -> None:
+    """More than half of the impacts are exact; e is the mean, with the jackknife standard error."""
     before, after = np.zeros((2, 10, 3))
     before[:, 2], after[:, 2] = -2.0, 1.0
     after[:2, 2] = 1.5, 0.5
@@ -165,7 +165,7 @@ def test_a_fit_without_a_usual_size_of_residuals_has_the_interval_of_least_squar
     assert fit.standard_errors == pytest.approx(np.sqrt(0.9 * np.sum((without - 0.5) ** 2)), rel=1e-9)
 
 
-def test_friction_is_not_determined_where_all_impacts_stick() -> None:
+def test_friction_is_not_determined_if_all_impacts_stick() -> None:
     W, before = random_bodies(30, np.random.default_rng(6))
     before[:, :2] *= 0.01
     W[:] = np.diag([3.0, 3.0, 1.0])
@@ -181,8 +181,8 @@ def test_friction_is_not_determined_where_all_impacts_stick() -> None:
 
 @pytest.mark.parametrize("loss", ["linear", "soft_l1"])
 @pytest.mark.parametrize("towards", [-2.0, 2.0])
-def test_friction_alone_is_not_determined_where_no_residual_depends_on_it(towards: float, loss: str) -> None:
-    """A body that sticks, or moves away: W is the identity, so that v⁺ has no sliding, or is v⁻."""
+def test_friction_is_not_determined_if_no_residual_depends_on_it(towards: float, loss: str) -> None:
+    """W is the identity, and the body sticks or separates, so v⁺ does not depend on friction."""
     before = np.tile([0.1, 0.0, towards], (20, 1))
     after = np.tile([0.0, 0.0, 1.0], (20, 1)) if towards < 0.0 else before.copy()
     after += 0.01 * np.random.default_rng(0).normal(size=after.shape)
@@ -192,8 +192,8 @@ def test_friction_alone_is_not_determined_where_no_residual_depends_on_it(toward
     assert fit.interval().tolist() == [[0.0, 2.0]]
 
 
-def test_a_fit_does_not_stay_where_all_impacts_stick() -> None:
-    # of few impacts of which most stick, the best of the first points may have too much friction
+def test_fit_does_not_end_where_all_impacts_stick() -> None:
+    # if most of few impacts stick, the best initial point may have so much friction that all stick
     rng = np.random.default_rng(1)
     arms = rng.normal(size=(400, 3, 3))
     W, before = np.eye(3) + arms @ arms.transpose(0, 2, 1), rng.normal(size=(400, 3)) - [0, 0, 3]
@@ -206,7 +206,7 @@ def test_a_fit_does_not_stay_where_all_impacts_stick() -> None:
         assert fit.x == pytest.approx([mu, e], abs=1e-5)
 
 
-def test_restitution_is_not_determined_by_grazes() -> None:
+def test_restitution_is_not_determined_by_grazing_impacts() -> None:
     rng = np.random.default_rng(8)
     W, before = random_bodies(30, rng)
     before[:, 2] *= 1e-3
@@ -215,7 +215,7 @@ def test_restitution_is_not_determined_by_grazes() -> None:
     assert "the median approach speed is 0.0014 m/s" in fit.unidentified[0]
 
 
-def test_a_contact_without_impacts_is_named() -> None:
+def test_contact_without_impacts_is_named() -> None:
     robot = load_robot("solo12")
     scene = Scene(robot, [Contact(foot, Plane(), 0.5, name=foot) for foot in ("FL_FOOT", "FR_FOOT")])
     v = np.zeros((3, 18))
@@ -226,23 +226,23 @@ def test_a_contact_without_impacts_is_named() -> None:
     assert fit.unidentified[-1] == "friction:FR_FOOT is not determined: no impact is of this contact."
 
 
-def test_the_covariance_is_that_of_leaving_out_groups() -> None:
-    """To first order: fits without one group, of a cost that is nearly quadratic."""
+def test_covariance_is_that_of_the_jackknife_over_groups() -> None:
+    """Compare with fits that leave out one group; equal to first order, as the cost is nearly quadratic."""
     found, group = tosses(np.random.default_rng(12), groups=12)
     fit = studies.identify(found, group=group, loss="linear")
     left_out = []
     for k in range(12):
         kept = group != k
         left_out.append(studies.identify([x[kept] for x in found], group=group[kept], loss="linear").x)
-    off = np.array(left_out) - fit.x
+    error = np.array(left_out) - fit.x
     size = np.outer(fit.standard_errors, fit.standard_errors)
-    assert fit.covariance / size == pytest.approx(11 / 12 * off.T @ off / size, abs=0.05)
+    assert fit.covariance / size == pytest.approx(11 / 12 * error.T @ error / size, abs=0.05)
 
 
 def test_groups_of_unequal_weight_have_fewer_degrees_of_freedom() -> None:
-    """Satterthwaite's number for a mean over groups of sizes n_g, a_g = n_g / (n - n_g)²."""
+    """Compare with Satterthwaite's formula for a mean over groups of sizes n_g, a_g = n_g/(n − n_g)²."""
     W = np.tile(np.eye(3), (45, 1, 1))
-    before = np.tile([0.0, 0.0, -1.0], (45, 1))  # v⁺ = e: a mean
+    before = np.tile([0.0, 0.0, -1.0], (45, 1))  # v⁺ = e, so the fit is a mean
     after = np.zeros((45, 3))
     after[:, 2] = 0.5 + 0.01 * np.random.default_rng(14).normal(size=45)
     sizes = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9])
@@ -256,7 +256,7 @@ def test_groups_of_unequal_weight_have_fewer_degrees_of_freedom() -> None:
     assert high - low == pytest.approx(2.0 * 1.8595480375228421 * even.standard_errors[0])  # t of 8
 
 
-def test_a_parameter_of_one_group_has_no_interval() -> None:
+def test_parameter_of_one_group_has_no_interval() -> None:
     robot = load_robot("solo12")
     feet = [Contact(foot, Plane(), 0.1, 0.5, name=foot) for foot in ("FL_FOOT", "FR_FOOT")]
     rng = np.random.default_rng(13)
@@ -275,7 +275,7 @@ def test_a_parameter_of_one_group_has_no_interval() -> None:
     assert 0.0 < fit.standard_errors[0] < 0.1
 
 
-def test_a_scene_gets_the_law_of_the_fit() -> None:
+def test_apply_sets_law_of_fit() -> None:
     W, before = random_bodies(20, np.random.default_rng(9))
     after = solve_impacts(W, before, 0.2, 0.4, law="newton").velocity
     fit = studies.identify((W, before, after), law="newton")
@@ -284,7 +284,7 @@ def test_a_scene_gets_the_law_of_the_fit() -> None:
     assert (contact.law, contact.friction) == ("newton", pytest.approx(0.2, abs=1e-6))
 
 
-def test_the_figure_has_an_interval_for_each_parameter() -> None:
+def test_figure_has_axes_for_each_parameter() -> None:
     W, before = random_bodies(20, np.random.default_rng(10))
     after = solve_impacts(W, before, 0.2, 0.4).velocity
     figure = studies.identify((W, before, after + 1e-3)).plot()
@@ -316,7 +316,7 @@ def test_bad_input_is_named(change: dict, error: type, message: str) -> None:
         studies.identify(**({"found": (W, before, before)} | change))
 
 
-def test_an_impact_needs_a_contact() -> None:
+def test_missing_or_unknown_contact_raises() -> None:
     robot = load_robot("solo12")
     scene = Scene(robot, [Contact(foot, Plane(), name=foot) for foot in ("FL_FOOT", "FR_FOOT")])
     found = np.tile(robot.q0, (2, 1)), np.zeros((2, 18)), np.zeros((2, 18))
@@ -327,7 +327,7 @@ def test_an_impact_needs_a_contact() -> None:
 
 
 def test_recorded_cubes(cubes) -> None:
-    """The figures published for these data, by a fit that this one shares nothing with but the law."""
+    """Compare with published results for these data by an independent fit with the same law."""
     fit = studies.identify(
         cube_states(cubes), cube_scene(cubes), contact=names_of(cubes), group=cubes["toss"]
     )
@@ -341,7 +341,7 @@ def names_of(d):
 
 
 def cross_validated(d) -> float:
-    """Return the error [m/s] of impacts of tosses that are left out of the fit, one tenth at a time."""
+    """Return the root mean square error [m/s] of tenfold cross-validation over tosses."""
     scene, names, toss = cube_scene(d), names_of(d), d["toss"]
     q, before, after = cube_states(d)
     labels = np.unique(toss)
@@ -355,17 +355,17 @@ def cross_validated(d) -> float:
         contacts = {one.label: one for one in fit.apply(scene).contacts}
         for i in np.flatnonzero(~fitted):
             hit = pinimpact.impact(model, model.createData(), q[i], before[i], contacts[names[i]])
-            off = hit.v - after[i]
-            squares[i] = off[:3] @ off[:3] + off[3:] @ inertia @ off[3:]
+            error = hit.v - after[i]
+            squares[i] = error[:3] @ error[:3] + error[3:] @ inertia @ error[3:]
     return float(np.sqrt(squares.mean()))
 
 
-def test_recorded_cubes_that_are_left_out_are_predicted(cubes) -> None:
+def test_cross_validation_of_recorded_cubes(cubes) -> None:
     assert cross_validated(cubes) <= 0.0430
 
 
-def test_impacts_are_without_the_effects_that_a_scene_switches_off() -> None:
-    """Impacts of a robot without friction and with free joints; the scene has both, and switches them off."""
+def test_fit_without_effects_that_the_scene_switches_off() -> None:
+    """The impacts are without friction and locked joints; the scene has both, but switches them off."""
     robot = load_robot("solo12")
     rng = np.random.default_rng(4)
     smooth = Contact("FL_FOOT", Plane(), 0.0, 0.4)

@@ -1,4 +1,4 @@
-"""Derivatives of a robot's impact against differences of fourth order, for all kinds of contacts."""
+"""Derivatives of robots' impacts against difference quotients, for all kinds of contacts and shapes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ STEP = 1e-4
 
 
 def slope(function, n, step=STEP):
-    """Return the derivatives of a function of (n,) at zero, by differences of fourth order."""
+    """Return the derivatives of a function of (n,) at zero, by difference quotients of fourth order."""
     columns = []
     for unit in np.eye(n) * step:
         a, b, c, d = (function(k * unit) for k in (-2, -1, 1, 2))
@@ -59,12 +59,12 @@ def slope(function, n, step=STEP):
 
 
 def close(found, expected, tolerance=1e-8):
-    """Whether derivatives agree, in the norm, or are of that size where they vanish."""
+    """Return whether derivatives agree within a tolerance relative to their norm, at least 1."""
     return np.linalg.norm(found - expected) <= tolerance * max(np.linalg.norm(expected), 1.0)
 
 
 def struck(model, data, contact, seed):
-    """Return a random state at which the contact approaches and the impact is regular."""
+    """Return a random state of a regular impact, and the derivatives there."""
     rng = np.random.default_rng(seed)
     while True:
         q, v = random_state(model, rng)
@@ -129,18 +129,16 @@ def test_other_robots(robot):
 
 
 class Decaying:
-    """e = 0.8 exp(−v/2)."""
+    """e = 0.8 exp(−v/2), with its derivative."""
 
     def __call__(self, speed):
-        """Return e."""
         return 0.8 * np.exp(-speed / 2)
 
     def slope(self, speed):
-        """Return de/dv."""
         return -0.4 * np.exp(-speed / 2)
 
 
-def test_restitution_that_depends_on_the_approach():
+def test_restitution_as_a_function_of_speed():
     model, data = load("panda")
     contact = replace(CONTACTS["point on floor"], frame=FRAMES["panda"], restitution=Decaying())
     q, v, d = struck(model, data, contact, 4)
@@ -159,7 +157,7 @@ def test_held_contacts_and_locked_joints(locked):
     held.append(Contact("HL_FOOT", Plane(normal=(0, 0.1, 1)), radius=0.016, rim=0.02, axis=(0.1, 1.0, 0.2)))
     q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv) * 0.3)
 
-    def after(q, v):  # held feet that move a little are no error here
+    def after(q, v):  # unlike `impact` this accepts held feet that move
         at = pinimpact.contact_matrices(model, data, q, contact, held, locked)
         problem = ImpactProblem(at.delassus, at.velocity(v), contact.friction, contact.restitution)
         impulse = pinimpact.solve_impact(problem).impulse
@@ -179,8 +177,8 @@ def test_held_contacts_and_locked_joints(locked):
     assert close(d.dP_dv, by_v[18:])
 
 
-def test_a_planar_arm_keeps_its_rank():
-    # two links in a plane: W has no row across
+def test_planar_arm():
+    # the row of W across the plane of its two links is zero
     model = pin.Model()
     link = pin.Inertia(1.0, np.array([0.25, 0.0, 0.0]), np.diag([0.001, 0.02, 0.02]))
     for name, x in (("shoulder", 0.0), ("elbow", 0.5)):
@@ -201,7 +199,7 @@ def test_a_planar_arm_keeps_its_rank():
 
 
 def test_joints_that_the_kernels_of_trees_do_not_support():
-    # a screw between hinges; all is from Pinocchio then
+    # with a helical joint all kinematics are from Pinocchio
     rng = np.random.default_rng(3)
     model = pin.Model()
     kinds = {"base": pin.JointModelRX(), "screw": pin.JointModelHZ(0.2), "wrist": pin.JointModelRY()}
@@ -219,7 +217,7 @@ def test_joints_that_the_kernels_of_trees_do_not_support():
     check(model, data, q, v, contact, d)
 
 
-def test_results_keep_their_numbers():
+def test_results_are_not_overwritten_by_later_calls():
     contact = replace(CONTACTS["point on floor"], frame=FRAMES["panda"])
     q, v, first = struck(MODEL, DATA, contact, 7)
     names = ("v", "dv_dq", "dP_dv", "dv_dsurface", "dP_dfriction", "dv_drestitution")
@@ -230,8 +228,8 @@ def test_results_keep_their_numbers():
         assert np.array_equal(getattr(first, name), kept[name])
 
 
-def test_a_ball_that_bounces():
-    # two balls that collide at e = 1 swap their velocities
+def test_two_balls():
+    # at e = 1 the balls swap their velocities
     model = pin.Model()
     for name in "ab":
         joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
@@ -250,7 +248,7 @@ def test_a_ball_that_bounces():
 
 BALL, BRICK = coal.Sphere(0.1), coal.Box(0.4, 0.3, 0.2)
 PAIRS = {
-    # shapes, and where the first is in the axes of the second, with roll and pitch
+    # both shapes; position, roll and pitch of the first in the axes of the second
     "ball on face": (BALL, BRICK, (0.05, 0.06, 0.2, 0.0, 0.0)),
     "ball on edge": (BALL, BRICK, (0.26, 0.06, 0.18, 0.0, 0.0)),
     "ball on corner": (BALL, BRICK, (0.26, 0.2, 0.18, 0.0, 0.0)),
@@ -262,7 +260,7 @@ PAIRS = {
 
 
 def brought_together(robot, q):
-    """Return a configuration in which the shapes "a" and "b" touch."""
+    """Return a configuration in which the shapes "a" and "b" are in contact."""
     pair, q = shape_pair(robot, Contact(geometry="a", plane=Shape("b"))), q.copy()
     for _ in range(10):
         pin.forwardKinematics(robot.model, robot.data, q)
@@ -272,7 +270,7 @@ def brought_together(robot, q):
 
 
 def shapes(kind):
-    """Return two free bodies with the shapes of a pair, in contact, and the contact."""
+    """Return two free bodies with the shapes of a pair, their configuration in contact, and the contact."""
     first, second, place = PAIRS[kind]
     swap = isinstance(place, str)
     robot, rng = two_bodies(first, second), np.random.default_rng(4)
@@ -285,7 +283,7 @@ def shapes(kind):
 
 
 @pytest.mark.parametrize("kind", PAIRS)
-def test_shapes_that_touch(kind):
+def test_shapes_in_contact(kind):
     robot, q, contact = shapes(kind)
     model, data, v = robot.model, robot.data, np.random.default_rng(5).normal(size=12)
     if pinimpact.impact(robot, data, q, v, contact).solution.status == pinimpact.Status.NO_IMPACT:
@@ -301,9 +299,9 @@ def test_shapes_that_touch(kind):
     assert close(d.dv_dv, by_v[:12])
     assert close(d.dP_dv, by_v[12:])
 
-    # at gaps above CLOSE normals of vertices and edges have errors of 1e-11
+    # for gaps above CLOSE normals at vertices and edges have errors of 1e-11
     step = STEP if "ball" in kind else 3.0 * STEP
-    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), 12, step)  # also where they part or overlap
+    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), 12, step)  # also with gaps or overlap
     assert close(d.dv_dq, by_q[:12])
     assert close(d.dP_dq, by_q[12:])
 
@@ -317,8 +315,8 @@ def test_shapes_that_touch(kind):
         ((0.28, 0.15, 0.16), True),
     ],
 )
-def test_a_ball_where_features_meet(place, meet):
-    # where faces and edges end the curvature jumps
+def test_ball_at_boundary_of_features(place, meet):
+    # the curvature jumps between faces, edges and vertices
     robot = two_bodies(BALL, BRICK)
     q = np.array([*place, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
     v = np.array([-1.0, -1.0, -1.0, *np.zeros(9)])
@@ -330,11 +328,11 @@ def test_a_ball_where_features_meet(place, meet):
     assert np.isfinite(d.dv_dv).all()
 
 
-# ---- to one side
+# ---- one-sided derivatives
 
 
-def slope_to(side, function, n, step=STEP):
-    """Return the derivatives of a function of (n,) at zero to one side, by differences of third order."""
+def one_sided_slope(side, function, n, step=STEP):
+    """Return one-sided derivatives of a function of (n,) at zero, by difference quotients of third order."""
     here, columns = function(np.zeros(n)), []
     for unit in np.eye(n) * step * side:
         a, b, c = (function(k * unit) for k in (1, 2, 3))
@@ -343,7 +341,7 @@ def slope_to(side, function, n, step=STEP):
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_ball_where_features_meet_to_one_side(side):
+def test_one_sided_derivatives_at_boundary_of_features(side):
     robot = two_bodies(BALL, BRICK)
     q = np.array([0.2, 0.06, 0.2, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
     v = np.array([-1.0, -1.0, -1.0, *np.zeros(9)])
@@ -354,14 +352,14 @@ def test_a_ball_where_features_meet_to_one_side(side):
         hit = pinimpact.impact(robot, robot.data, pin.integrate(robot.model, q, e), v, contact)
         return np.concatenate([hit.v, hit.impulse_world])
 
-    expected, known = slope_to(side, after, 12), np.isfinite(d.dv_dq).all(axis=0)
+    expected, known = one_sided_slope(side, after, 12), np.isfinite(d.dv_dq).all(axis=0)
     assert known[[0, 6, 10]].all()  # along x and about y
     assert close(d.dv_dq[:, known], expected[:12, known])
     assert close(d.dP_dq[:, known], expected[12:, known])
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_start_at_rest_to_one_side(side):
+def test_one_sided_derivatives_of_start_at_rest(side):
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     inertia = pin.Inertia(1.0, np.array([0.01, 0.02, 0.0]), np.diag([0.02, 0.03, 0.01]))
@@ -373,7 +371,7 @@ def test_a_start_at_rest_to_one_side(side):
     both = pinimpact.impact_derivatives(model, data, q, v, contact)
     assert both.boundary == Boundary.START_AT_REST
     missing = np.isnan(both.dv_dv).any(axis=0)
-    assert missing.tolist() == [True, True, False, True, True, True]  # that along z changes no slip
+    assert missing.tolist() == [True, True, False, True, True, True]  # v_z does not change slip
     d = pinimpact.impact_derivatives(model, data, q, v, contact, side=side)
     assert np.array_equal(d.dv_dv[:, 2], both.dv_dv[:, 2])
     problem = pinimpact.impact(model, data, q, v, contact).problem
@@ -391,7 +389,7 @@ def test_a_start_at_rest_to_one_side(side):
     assert close(d.dP_dv, expected.T, 1e-7)
     assert np.isfinite(d.block).all()
     assert close(
-        slope_to(
+        one_sided_slope(
             side, lambda e: pinimpact.impact(model, data, pin.integrate(model, q, e), v, contact).v, 6, 1e-9
         ),
         d.dv_dq,
@@ -411,12 +409,12 @@ HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
         (pinimpact.Contact(geometry="panda_hand_0", plane=Plane()), "RobotWrapper"),
     ],
 )
-def test_what_has_no_derivatives_is_refused(contact, words):
+def test_contacts_without_derivatives_raise(contact, words):
     with pytest.raises(pinimpact.InputError, match=words):
         pinimpact.impact_derivatives(MODEL, DATA, pin.neutral(MODEL), np.ones(9), contact)
 
 
-def test_the_tips_of_a_shape_that_touch_a_plane_are_the_contact():
+def test_shape_on_plane_has_derivatives_of_its_tips():
     robot, rng = two_bodies(BRICK, coal.Cylinder(0.1, 0.2)), np.random.default_rng(3)
     q, v = np.array([0, 0, 0.1, 0, 0, 0, 1, 3, 0, 0, 0, 0, 0, 1.0]), rng.normal(size=12)
     v[2] = v[8] = -2.0
@@ -440,7 +438,7 @@ def test_the_tips_of_a_shape_that_touch_a_plane_are_the_contact():
         assert d.dP_dv.any()
 
 
-def test_shapes_that_touch_at_several_points_are_refused():
+def test_shapes_in_contact_at_several_points_raise():
     robot, v = two_bodies(BRICK, BRICK), np.array([0.0, 0.0, -1.0, *np.zeros(9)])
     contact = Contact(geometry="a", plane=Shape("b"), friction=0.3)
     q = np.array([0, 0, 0.2, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
@@ -448,7 +446,7 @@ def test_shapes_that_touch_at_several_points_are_refused():
         pinimpact.impact_derivatives(robot, robot.data, q, v, contact)
 
 
-def test_joints_whose_axes_turn_are_refused():
+def test_joints_with_configuration_dependent_axes_raise():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelSphericalZYX(), pin.SE3.Identity(), "wrist")
     model.appendBodyToJoint(joint, pin.Inertia.FromEllipsoid(1.0, 0.3, 0.2, 0.1), pin.SE3.Random())
@@ -459,7 +457,7 @@ def test_joints_whose_axes_turn_are_refused():
         )
 
 
-def test_rows_for_a_controller_of_a_hand_that_mimics():
+def test_impact_rows_with_mimic_joint():
     model = pin.buildModelFromXML(gripper("left", INERTIAL), mimic=True)
     q, v, data = np.array([0.3, 0.7]), np.array([1.0, -0.3]), model.createData()
     contact = Contact("right_finger", Plane(normal=(1, 2, 3)), 0.3, 0.5, offset=(1, 0, 0))
@@ -473,7 +471,7 @@ def test_rows_for_a_controller_of_a_hand_that_mimics():
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.02])
-def test_rows_for_a_controller(radius):
+def test_impact_rows(radius):
     contact = Contact("panda_hand_tcp", Plane((0.1, 0.2, 1.0)), 0.3, 0.5, radius=radius)
     q, v, _ = struck(MODEL, DATA, contact, 3)
     A, b = pinimpact.impact_rows(MODEL, DATA, q, v, contact, 1e-3)
@@ -490,8 +488,8 @@ def test_rows_for_a_controller(radius):
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize("law", ["newton", "poisson", "energetic"])
-def test_a_robot_of_one_joint(friction, law):
-    # v⁺ = −e v; the joint moves along the normal, so that nothing moves sideways
+def test_robot_of_one_joint(friction, law):
+    # the joint moves along the normal: v⁺ = −e v
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
@@ -504,21 +502,21 @@ def test_a_robot_of_one_joint(friction, law):
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_a_robot_that_falls_straight_begins_to_slip_to_either_side(held):
-    # along the floor its foot moves by rounding alone, which is no direction of slip
+def test_vertical_fall_is_a_start_at_rest(held):
+    # the tangential velocity of the foot is a rounding error, which does not determine a direction of slip
     robot = pinimpact.load_robot("solo12")
     model, data = robot.model, robot.data
     foot = pinimpact.Contact("FL_FOOT", pinimpact.Plane(), friction=0.2, restitution=0.3)
-    way = {"locked": ["FL_HAA"]} if held else {}
+    options = {"locked": ["FL_HAA"]} if held else {}
     q = pin.integrate(model, robot.q0, np.array([0.0] * 3 + [0.3, 0.2, 0.1] + [0.1] * 12))
     v = np.zeros(18)
     v[:3] = pin.Quaternion(q[3:7]).matrix().T @ [0.0, 0.0, -1.0]
-    found = pinimpact.impact_derivatives(model, data, q, v, foot, **way)
+    found = pinimpact.impact_derivatives(model, data, q, v, foot, **options)
     assert found.boundary == pinimpact.Boundary.START_AT_REST
     assert np.isnan(found.dv_dv).any()
     for side in (1, -1):
-        one = pinimpact.impact_derivatives(model, data, q, v, foot, side=side, **way)
+        one = pinimpact.impact_derivatives(model, data, q, v, foot, side=side, **options)
         h = side * 1e-7
-        ends = [pinimpact.impact(model, data, q, v + h * e, foot, **way).v for e in np.eye(18)]
+        ends = [pinimpact.impact(model, data, q, v + h * e, foot, **options).v for e in np.eye(18)]
         expected = (np.array(ends) - one.v).T / h
         assert np.abs(one.dv_dv - expected).max() < 1e-3 * np.abs(expected).max()

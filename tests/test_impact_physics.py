@@ -1,4 +1,7 @@
-"""What an impact of a robot must conserve, whatever the robot, the frame, the plane and the law."""
+"""Conservation laws and invariances of robots' impacts; batches; errors of input.
+
+The random states depend on the names of the tests.
+"""
 
 import pickle
 
@@ -17,7 +20,7 @@ def rng(request):
 
 
 def random_hit(name, rng, law):
-    """A random impact: its model, state, contact and answer."""
+    """Return model, data, state, contact and result of a random impact."""
     model, data = cases.load(name)
     model.armature = rng.uniform(0, 0.1, model.nv)
     q, v = cases.random_state(model, rng)
@@ -105,7 +108,7 @@ def test_it_does_not_matter_how_the_world_axes_lie(name, turn, rng):
 
 
 def two_bodies(rng):
-    """Two free ellipsoids in one model, the first one's surface a plane carried by the second."""
+    """Return a model of two free ellipsoids."""
     body = pinimpact.load_robot("ellipsoid").model
     other = body.copy()
     for model, name in ((body, "one_"), (other, "two_")):
@@ -120,7 +123,7 @@ def two_bodies(rng):
 
 
 def momentum(model, q, v):
-    """Linear momentum and angular momentum about the world's origin, body by body."""
+    """Return linear momentum, and angular momentum about the world's origin, summed over bodies."""
     data = model.createData()
     pin.forwardKinematics(model, data, q, v)
     total = sum(
@@ -148,7 +151,7 @@ def test_two_free_bodies_conserve_linear_and_angular_momentum(seed):
     assert gained == pytest.approx(hit.solution.work.total, rel=1e-10)
 
 
-def test_two_bodies_may_change_roles():
+def test_roles_of_the_two_bodies_can_be_exchanged():
     rng = np.random.default_rng(0)
     model = two_bodies(rng)
     data = model.createData()
@@ -162,7 +165,7 @@ def test_two_bodies_may_change_roles():
         friction=0.5,
         restitution=0.5,
     )
-    # the same point of space, as a point of the other body that meets a plane of the first
+    # the same contact point as a point of the other body, with the plane on the first body
     second = pinimpact.Contact(
         "two_tip",
         pinimpact.Plane(normal=-one.rotation.T @ normal, body="one_tip"),
@@ -429,7 +432,7 @@ def test_wrong_shapes_of_many_raise(change, message):
         ("fast", "v: 'fast'"),
     ],
 )
-def test_a_velocity_that_is_none(v, message, options):
+def test_invalid_velocity_raises(v, message, options):
     robot = pinimpact.load_robot("ellipsoid")
     contact = pinimpact.Contact("tip", pinimpact.Plane())
     with pytest.raises(pinimpact.InputError, match=message):
@@ -446,7 +449,7 @@ def test_an_approach_that_the_mechanism_cannot_stop(rng):
 
 
 @pytest.mark.parametrize("call", [pinimpact.impact, pinimpact.impacts])
-def test_what_strikes_must_be_a_contact(call):
+def test_invalid_contact_raises(call):
     robot = pinimpact.load_robot("ellipsoid")
     with pytest.raises(pinimpact.InputError, match="contact: 'tip' is not a Contact"):
         call(robot.model, robot.data, robot.q0, np.zeros(6), "tip")

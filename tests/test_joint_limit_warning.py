@@ -1,4 +1,4 @@
-"""A configuration beyond joint limits, as one in degrees, is told of, once for each Data."""
+"""Warnings about configurations beyond joint limits, such as in degrees, once for each Data."""
 
 import warnings
 
@@ -28,13 +28,13 @@ def degrees():
 @pytest.mark.parametrize(
     ("contact", "keep"), [(HAND, {}), (HAND, {"locked": ["panda_joint7"]}), ([HAND], {})]
 )
-def test_degrees_are_told_of_once(panda, contact, keep):
+def test_warning_appears_once_per_data(panda, contact, keep):
     model, data = panda
     with pytest.warns(
         JointLimitWarning, match=r"'panda_joint4' is at -135,.* -3\.07\d* to -0\.0698.*degrees"
-    ) as told:
+    ) as warned:
         pinimpact.impact(model, data, degrees(), V, contact, **keep)
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pinimpact.impact(model, data, degrees(), V, contact, **keep)
@@ -42,25 +42,25 @@ def test_degrees_are_told_of_once(panda, contact, keep):
         pinimpact.impact(model, model.createData(), degrees(), V, contact, **keep)
 
 
-def test_a_joint_a_little_beyond_is_told_of_without_a_word_on_degrees(panda):
+def test_warning_slightly_beyond_limit_does_not_mention_degrees(panda):
     q = pinimpact.load_robot("panda").q0.copy()
     q[7] = 0.0401
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pinimpact.impact(*panda, q, V, HAND)  # as far as a stop gives
+        pinimpact.impact(*panda, q, V, HAND)  # within the tolerance of limits
     q[7] = 0.05
     with pytest.warns(JointLimitWarning, match=r"'panda_finger_joint1' is at 0\.05, .* 0 to 0\.04$"):
         pinimpact.impact(*panda, q, V, HAND)
 
 
-def test_rows_beyond_are_counted(panda):
+def test_warning_counts_rows_beyond_limits(panda):
     q = np.array([pinimpact.load_robot("panda").q0, degrees(), degrees()])
-    with pytest.warns(JointLimitWarning, match=r"\(row 1; 2 rows in all\)") as told:
+    with pytest.warns(JointLimitWarning, match=r"\(row 1; 2 rows in all\)") as warned:
         pinimpact.impacts(*panda, q, V, HAND)
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
 
 
-def test_scenes_without_joint_limits_do_not_mind(panda):
+def test_scenes_without_joint_limits_do_not_warn(panda):
     model, _ = panda
     low = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane(point=(0, 0, 0.4)))
     scene = pinimpact.Scene(model, [low], without=["joint limits"])
@@ -72,9 +72,9 @@ def test_scenes_without_joint_limits_do_not_mind(panda):
     assert trajectory.impacts
 
 
-def test_a_contact_by_geometry_is_told_of_where_it_is_called():
+def test_warning_for_contact_by_geometry_points_to_the_caller():
     robot = pinimpact.load_robot("panda")
     contact = pinimpact.Contact(geometry="panda_hand_0", plane=TABLE)
-    with pytest.warns(JointLimitWarning) as told:
+    with pytest.warns(JointLimitWarning) as warned:
         pinimpact.impact(robot, robot.model.createData(), degrees(), V, contact)
-    assert [warning.filename for warning in told] == [__file__]
+    assert [warning.filename for warning in warned] == [__file__]

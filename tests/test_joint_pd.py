@@ -1,4 +1,4 @@
-"""Joints that a linear law draws to a configuration, within their efforts, against closed forms."""
+"""PD control of joints with effort limits, against closed forms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .scene_models import UP, G, ball, pendulum, run, slider, unbounded
 
 
 def mass(control, damping=0.0, **options):
-    """A free mass of 1 kg on three sliding joints."""
+    """Return a scene of a free mass of 1 kg on three prismatic joints."""
     model = slider()
     model.damping = np.full(3, damping)
     return Scene(model, control=control, without=["gravity"], **options)
@@ -32,7 +32,7 @@ def oscillator(x, v, kp, kd, t):
 
 
 @pytest.mark.parametrize(("kp", "kd"), [(4.0, 0.5), (100.0, 0.0), (9.0, 10.0), (1e4, 20.0), (0.0, 3.0)])
-def test_it_is_a_damped_oscillator(kp, kd):
+def test_damped_oscillator(kp, kd):
     target = np.array([0.4, 0.0, -0.2])
     trajectory = run(mass(JointPD(kp, kd, target)), np.zeros(3), [1.0, 0, 0], 1.0, rtol=1e-10, atol=1e-12)
     for t in (0.1, 0.37, 1.0):
@@ -44,7 +44,7 @@ def test_it_is_a_damped_oscillator(kp, kd):
 
 
 @pytest.mark.parametrize(("kp", "kd"), [(1e4, 1e3), (1e6, 2.5e3), (1e8, 1e5), (1.0, 1e6)])
-def test_stiff_drives_settle_as_they_should_at_the_cost_of_soft_ones(kp, kd):
+def test_stiff_drives_need_no_more_evaluations(kp, kd):
     target = np.array([0.4, 0.0, -0.2])
     trajectory = run(mass(JointPD(kp, kd, target)), np.zeros(3), [1.0, 0, 0], 1.0)
     for t in (1e-6, 1e-4, 1e-2, 0.1, 1.0):
@@ -53,11 +53,11 @@ def test_stiff_drives_settle_as_they_should_at_the_cost_of_soft_ones(kp, kd):
             x, speed = oscillator(-target[i], float(i == 0), kp, kd, t)
             assert q[i] - target[i] == pytest.approx(x, abs=1e-8)
             assert v[i] == pytest.approx(speed, abs=1e-6 * max(1.0, np.sqrt(kp)))
-    assert trajectory.statistics["evaluations"] < 4000  # an explicit step is at most some 5 / kd long
+    assert trajectory.statistics["evaluations"] < 4000  # explicit steps would be at most about 5/kd
 
 
-def test_the_error_of_stiff_drives_falls_with_the_tolerance():
-    # a double pendulum with a light lower arm; reference: scipy's implicit method
+def test_error_of_stiff_drives_follows_the_tolerance():
+    # a double pendulum with a light lower arm, against scipy's implicit method
     model = pendulum()
     elbow = model.addJoint(1, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, -1.0])), "elbow")
     model.appendBodyToJoint(
@@ -84,8 +84,8 @@ def test_the_error_of_stiff_drives_falls_with_the_tolerance():
     assert errors[2] < 1e-9
 
 
-def test_a_robot_that_stands_on_stiff_legs_bears_its_weight_and_sinks_as_its_stiffness_says():
-    # one leg: a foot on the floor, a sliding body above it that a stiff drive carries; it sinks by m g / kp
+def test_body_on_leg_with_stiff_drive():
+    # the foot stands on the floor, and a stiff drive supports the body, which sinks by m g/kp
     model = pin.Model()
     body = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "body")
     leg = model.addJoint(body, pin.JointModelPZ(), pin.SE3.Identity(), "leg")
@@ -98,30 +98,30 @@ def test_a_robot_that_stands_on_stiff_legs_bears_its_weight_and_sinks_as_its_sti
     scene = Scene(model, [Contact("foot", Plane(), name="foot")], control=control)
     trajectory = run(scene, [0.5, -0.5], [0, 0], 1.0)
     assert trajectory.mode_at("foot", 1.0) != "free"
-    # 3 ẍ = kp (sink) …: the body above its foot is a damped oscillator about its sinking
+    # the body is a damped oscillator of 3 kg about its equilibrium
     x, _ = oscillator(3.0 * G / kp, 0.0, kp / 3.0, kd / 3.0, 0.01)
     assert 0.5 - trajectory.at(0.01)[0][0] == pytest.approx(3.0 * G / kp - x, abs=1e-8)
     assert 0.5 - trajectory.q[-1, 0] == pytest.approx(3.0 * G / kp, abs=1e-8)
     assert trajectory.statistics["evaluations"] < 1500
 
 
-def test_a_stiff_drive_at_its_limit_is_let_go_at_the_exact_time():
+def test_stiff_drive_leaves_saturation_at_the_exact_time():
     kp, kd, limit = 1e4, 1e3, 2.0
     trajectory = run(mass(JointPD(kp, kd, [0.5, 0, 0], limit)), np.zeros(3), np.zeros(3), 1.5)
-    # pushed with 2 until 10⁴ (0.5 − t²) − 10³ · 2 t = 2
+    # the force is 2 N until 10⁴ (0.5 − t²) − 10³ · 2 t = 2
     leaves = (-2e3 + np.sqrt(4e6 + 4e4 * (5e3 - 2.0))) / 2e4
     first = trajectory.modes[0]
     assert (first.mode, first.start) == ("saturated", 0.0)
     assert first.end == pytest.approx(leaves, rel=1e-8)
-    assert trajectory.modes[1].mode == "saturated"  # braked as hard as it can
+    assert trajectory.modes[1].mode == "saturated"  # braking
 
 
 @pytest.mark.parametrize(
     ("kp", "kd", "h"),
     [(1e2, 1.0, 0.01), (1e6, 0.0, 3e-3), (1e4, 200.0, 4e-3), (1e8, 0.0, 0.01), (1e8, 1e3, 0.01)],
 )
-def test_time_steps_of_stiff_drives_are_those_of_the_implicit_midpoint_rule(kp, kd, h):
-    """It is stable for all gains: forces are those at the mean of both velocities and of both positions."""
+def test_time_steps_of_stiff_drives_are_the_implicit_midpoint_rule(kp, kd, h):
+    """Forces are at the means of velocities and of positions at both ends, which is stable for all gains."""
     scene = mass(JointPD(kp, kd, np.zeros(3)), damping=0.5)
     trajectory = simulate(scene, [1.0, 0, 0], [0.0, 0.3, 0], 20 * h, scheme="time-stepping", dt=h)
     x, v, drag = 1.0, 0.0, kd + 0.5
@@ -136,10 +136,10 @@ def test_time_steps_of_stiff_drives_are_those_of_the_implicit_midpoint_rule(kp, 
     assert np.abs(trajectory.energy.residual).max() < 1e-9 * kp
 
 
-def test_effort_that_reaches_its_limit_and_leaves_it_does_so_at_the_exact_time():
+def test_drive_enters_and_leaves_saturation_at_exact_times():
     kp, kd, limit = 100.0, 4.0, 5.0
     trajectory = run(mass(JointPD(kp, kd, [0.2, 0, 0], limit)), np.zeros(3), np.zeros(3), 1.0, rtol=1e-10)
-    # at the bound: x = ½ · 5 t², until 100 (0.2 − x) − 4 v = 5, that is 15 − 250 t² − 20 t = 0
+    # saturated with x = ½ · 5 t² until 100 (0.2 − x) − 4 v = 5, or 15 − 250 t² − 20 t = 0
     leaves = (-20 + np.sqrt(400 + 15000)) / 500
     first = trajectory.modes[0]
     assert (first.source, first.mode, first.start) == ("x drive", "saturated", 0.0)
@@ -159,12 +159,12 @@ def test_effort_that_reaches_its_limit_and_leaves_it_does_so_at_the_exact_time()
             assert trajectory.mode_at("x drive", t) == "free"
 
 
-def test_an_undamped_drive_at_its_bounds_is_the_bang_bang_oscillator():
-    # a stiff law with a low bound is nearly −limit · sign(x): x = 1 − t² at first, and the period is 4 s
+def test_stiff_saturated_drive_is_a_bang_bang_oscillator():
+    # the force is nearly −limit · sign(x), so x = 1 − t² at first, and the period is 4 s
     kp, limit = 1e6, 2.0
     trajectory = run(mass(JointPD(kp, 0.0, np.zeros(3), limit)), [1.0, 0, 0], np.zeros(3), 4.0)
     edge = limit / kp
-    energy = limit * (1.0 - edge) + 0.5 * limit * edge  # of the drive's potential, linear beyond the edge
+    energy = limit * (1.0 - edge) + 0.5 * limit * edge  # potential energy, linear beyond the edge
     q, v = trajectory.at(0.5)
     assert q[0] == pytest.approx(1.0 - 0.25, rel=1e-9)
     q, v = trajectory.at(1.0 + 0.01)
@@ -175,7 +175,7 @@ def test_an_undamped_drive_at_its_bounds_is_the_bang_bang_oscillator():
     assert len(crossings) == 3
 
 
-def test_limits_joint_by_joint_and_a_joint_that_nothing_drives():
+def test_limits_of_single_joints_and_joint_without_drive():
     kp, kd = np.array([50.0, 0.0, 50.0]), np.array([1.0, 0.0, 1.0])
     control = JointPD(kp, kd, np.ones(3), [np.inf, 1.0, 3.0])
     trajectory = run(mass(control), np.zeros(3), [0.0, 0.5, 0.0], 0.1)
@@ -185,7 +185,7 @@ def test_limits_joint_by_joint_and_a_joint_that_nothing_drives():
     assert q[2] == pytest.approx(0.5 * 3.0 * 0.01, abs=1e-10)
 
 
-def test_it_is_the_same_motion_as_by_a_function():
+def test_motion_agrees_with_control_as_a_function():
     robot = pinimpact.load_robot("panda")
     q0 = np.array([0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02])
     reference = q0 + np.array([0.5, 0.2, -0.3, 0.1, 0.4, 0.2, 0.5, 0, 0])
@@ -194,13 +194,13 @@ def test_it_is_the_same_motion_as_by_a_function():
     hand = Contact("panda_hand_tcp", Plane(point=(0, 0, 0.2)), friction=0.4, restitution=0.5)
     options = {"contacts": [hand], "without": ["joint limits"]}
     built_in = Scene(robot, control=JointPD(kp, kd, reference), **options)
-    written = Scene(robot, control=lambda t, q, v: kp * (reference - q) - kd * v, **options)
-    one, other = (simulate(scene, q0, np.zeros(9), 0.3) for scene in (built_in, written))
+    function = Scene(robot, control=lambda t, q, v: kp * (reference - q) - kd * v, **options)
+    one, other = (simulate(scene, q0, np.zeros(9), 0.3) for scene in (built_in, function))
     assert one.q[-1] == pytest.approx(other.q[-1], abs=1e-9)
     assert one.v[-1] == pytest.approx(other.v[-1], abs=1e-8)
 
 
-def test_a_pendulum_with_a_weak_motor_is_its_equation():
+def test_pendulum_with_saturated_drive():
     kp, kd, limit = 60.0, 3.0, 4.0
 
     def rate(t, y):
@@ -213,22 +213,22 @@ def test_a_pendulum_with_a_weak_motor_is_its_equation():
     assert any(m.mode == "saturated" for m in trajectory.modes)
 
 
-def test_an_impact_that_throws_the_effort_over_its_limit():
-    # a brake of limited effort: the impact turns its force round at once
+def test_impact_that_changes_the_sign_of_a_saturated_effort():
+    # the force of damping with limited effort is reversed by the impact
     model, kd, limit, e = slider(), 10.0, 3.0, 1.0
     model.lowerPositionLimit = np.array([0.0, -np.inf, -np.inf])
     scene = Scene(
         model, control=JointPD(0.0, [kd, 0, 0], np.zeros(3), limit), limit_restitution=e, without=["gravity"]
     )
     trajectory = run(scene, [0.5, 0, 0], [-4.0, 0, 0], 0.4)
-    # braked at the bound: v = 4 − 3 t until the wall, then again 3 against the motion the other way
+    # saturated: the speed is 4 − 3 t until the impact, and decreases at 3 m/s² after it too
     hit = (4 - np.sqrt(16 - 3)) / 3
     assert trajectory.impacts[0].time == pytest.approx(hit, rel=1e-9)
     speed, left = 4 - 3 * hit, 0.4 - hit
     assert trajectory.q[-1, 0] == pytest.approx(speed * left - 1.5 * left**2, rel=1e-8)
 
 
-def test_a_free_base_is_not_driven_and_its_joints_are():
+def test_free_base_is_not_driven():
     robot = pinimpact.load_robot("solo12")
     model = robot.model
     q0 = robot.q0.copy()
@@ -237,7 +237,7 @@ def test_a_free_base_is_not_driven_and_its_joints_are():
     moved = q0.copy()
     moved[7:] += 0.1
     trajectory = run(scene, moved, np.zeros(18), 0.1)
-    # in flight no outer force but gravity: the centre of mass falls freely
+    # the centre of mass falls freely
     data = model.createData()
     start = pin.centerOfMass(model, data, moved).copy()
     end = pin.centerOfMass(model, data, trajectory.q[-1]).copy()
@@ -245,7 +245,7 @@ def test_a_free_base_is_not_driven_and_its_joints_are():
     assert np.abs(trajectory.q[-1, 7:] - q0[7:]).max() < 0.1
 
 
-def test_it_can_be_sampled():
+def test_sampled_control():
     period, kp, kd, limit = 0.01, 60.0, 5.0, 4.0
     trajectory = run(mass(JointPD(kp, kd, [0.3, 0, 0], limit), period=period), np.zeros(3), np.zeros(3), 1.0)
     x = v = 0.0
@@ -255,7 +255,7 @@ def test_it_can_be_sampled():
     assert trajectory.q[-1, 0] == pytest.approx(x, abs=1e-12)
 
 
-def test_what_it_cannot_drive_and_bad_numbers_are_refused_by_name():
+def test_joints_without_drives_and_invalid_numbers_raise():
     spinning = pin.Model()
     joint = spinning.addJoint(0, pin.JointModelRUBY(), pin.SE3.Identity(), "spinner")
     spinning.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -277,7 +277,7 @@ def test_what_it_cannot_drive_and_bad_numbers_are_refused_by_name():
             mass(wrong)
 
 
-def test_the_plan_tells_of_it_and_it_can_be_switched_off():
+def test_plan_and_scene_without_control():
     scene = mass(JointPD([1.0, 1.0, 0.0], 0.0, np.zeros(3)))
     assert scene.plan()["control"].reason == "PD control of 2 joints"
     off = Scene(scene.model, control=scene.control, without=["control", "gravity"])

@@ -1,4 +1,4 @@
-"""A contact that friction locks at a stretched arm: where no forces exist, against a scan of all of them."""
+"""Stretched arms whose tip is locked by friction, where no contact forces exist."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .scene_models import G, unbounded
 
 
 def arm(turns=True):
-    """Two links of 1 m that turn about a vertical axis, or do not, then both upwards; its tip."""
+    """Return an arm of two links of 1 m in a vertical plane, which turns about a vertical axis if `turns`."""
     model = pin.Model()
     link = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.diag([0.01, 0.1, 0.1]))
     ahead = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
@@ -27,7 +27,7 @@ def arm(turns=True):
 
 
 def with_weight(scene, q, v):
-    """Add a weight that lies on a floor of its own, on a sliding joint."""
+    """Add a weight that lies on a separate floor."""
     model = scene.model.copy()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "weight")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
@@ -38,22 +38,20 @@ def with_weight(scene, q, v):
 
 
 def stretching(mu, bend=0.02):
-    """An arm that rises at 45° from below a floor, its tip on it and sliding out, the elbow at 3 rad/s."""
+    """Return an arm at 45° whose tip slides outwards on a plane, with the elbow at 3 rad/s, and q and v."""
     angle = np.radians(45.0)
     reach = 2.0 * np.cos(0.5 * bend)
-    # about y a positive angle lowers what points along x
-    q = np.array([0.0, -angle - 0.5 * bend, bend])
+    q = np.array([0.0, -angle - 0.5 * bend, bend])  # positive angles about y lower the arm
     v = np.array([0.0, 0.0, -3.0])
     height = reach * np.sin(angle)
-    rates = np.array(
-        [-reach * np.cos(angle), -np.cos(angle - 0.5 * bend)]
-    )  # of the height, by lift and elbow
+    # derivatives of the height by lift and elbow
+    rates = np.array([-reach * np.cos(angle), -np.cos(angle - 0.5 * bend)])
     v[1] = -rates[1] * v[2] / rates[0]
     return Scene(arm(), [Contact("tip", Plane(point=(0.0, 0.0, height)), friction=mu)]), q, v
 
 
 def locked(scene, q, v, bend, **options):
-    """Check that the arm comes to rest, its elbow straight, after bend / (3 rad/s), and gains no energy."""
+    """Check that the arm stops after bend / (3 rad/s) with its elbow straight, without a gain of energy."""
     with pytest.warns(SteppedWarning):
         trajectory = simulate(scene, q, v, 0.1, **options)
     energy, elbow = trajectory.energy, list(scene.model.names).index("elbow") - 1
@@ -69,13 +67,13 @@ def locked(scene, q, v, bend, **options):
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_friction_locks_a_tip_at_the_arms_full_reach(beside):
-    """Also beside what has nothing to do with it. Rigid bodies have no forces there; the arm stops."""
+def test_friction_locks_tip_at_full_reach(beside):
+    """No forces of rigid bodies exist there, so the arm stops, also beside an independent body."""
     locked(*(with_weight(*stretching(1.2)) if beside else stretching(1.2)), 0.02)
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_a_tip_with_less_friction_slides_back_from_the_arms_full_reach(beside):
+def test_tip_with_less_friction_slides_back_from_full_reach(beside):
     scene, q, v = with_weight(*stretching(0.9)) if beside else stretching(0.9)
     trajectory = simulate(scene, q, v, 0.1)
     assert trajectory.complete
@@ -90,22 +88,22 @@ def rough(scene, q, v):
 
 
 def planar(scene, q, v):
-    """Take out the joint that turns the arm, so that nothing moves its tip across."""
+    """Remove the joint about the vertical axis, so that the tip cannot move across the plane."""
     return Scene(arm(turns=False), scene.contacts), q[1:], v[1:]
 
 
 @pytest.mark.parametrize("kind", [lambda *arm: arm, rough, planar])
 @pytest.mark.parametrize("bend", [1e-4, 1e-5, -1e-6])
 @pytest.mark.parametrize("rtol", [4e-4, 1e-6])
-def test_a_tip_that_rests_next_to_the_full_reach_is_locked_there(rtol, bend, kind):
-    """Were it to stick without being stopped, friction would throw it with a thousand times its energy."""
+def test_tip_near_full_reach_is_locked(rtol, bend, kind):
+    """If the tip stuck while the arm moved, friction would increase the energy a thousandfold."""
     locked(*kind(*stretching(1.2, bend)), bend, rtol=rtol, atol=1e-2 * rtol)
 
 
 @pytest.mark.parametrize("kind", [lambda *arm: arm, planar])
 @pytest.mark.parametrize("bend", [1e-4, 1e-5, -1e-6])
 @pytest.mark.parametrize("rtol", [4e-4, 1e-6])
-def test_a_tip_with_less_friction_is_not_locked_next_to_the_full_reach(rtol, bend, kind):
+def test_tip_with_less_friction_is_not_locked_near_full_reach(rtol, bend, kind):
     scene, q, v = kind(*stretching(0.9, bend))
     trajectory = simulate(scene, q, v, 0.1, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.complete
@@ -114,8 +112,8 @@ def test_a_tip_with_less_friction_is_not_locked_next_to_the_full_reach(rtol, ben
 
 
 @pytest.mark.parametrize("joint", ["lift", "elbow"])
-def test_a_joint_whose_velocity_no_impact_changes_locks_no_posture(joint):
-    """A bent arm that leans on its tip rests as it would with all joints free."""
+def test_locked_joint_does_not_lock_the_posture(joint):
+    """A bent arm with a locked joint, supported by its tip, sticks as with all joints free."""
     scene, q, _ = stretching(1.2, -0.5)
     trajectory = simulate(Scene(scene.model, scene.contacts, locked=[joint]), q, np.zeros(3), 0.05)
     assert [mode.mode for mode in trajectory.modes] == ["stick"]

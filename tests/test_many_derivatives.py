@@ -1,4 +1,4 @@
-"""Derivatives of impacts at several contacts against closed forms, invariants and differences of `impact`."""
+"""Derivatives of impacts at several contacts against closed forms, identities and difference quotients."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FEET = ("FL_FOOT", "HL_FOOT", "FR_FOOT", "HR_FOOT")
 
 
 def chain(count, e, stiffness=None):
-    """Return balls of 1 kg that touch each other in a row, and their contacts."""
+    """Return a model of balls of 1 kg in a row, contacts of neighbours, and a configuration in contact."""
     model = pin.Model()
     for i in range(count):
         joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"ball {i}")
@@ -47,7 +47,7 @@ def chain(count, e, stiffness=None):
 
 
 def quadruped(seed):
-    """Return solo12 in some posture, falling and turning."""
+    """Return solo12 in a random state of falling."""
     model, data = load("solo12")
     rng = np.random.default_rng(seed)
     q = pin.integrate(model, np.array(pinimpact.load_robot("solo12").q0), 0.2 * rng.normal(size=18))
@@ -57,7 +57,7 @@ def quadruped(seed):
 
 
 def blocks(d):
-    """Return the derivatives by name, (rows, columns)."""
+    """Return the derivatives of v⁺ and P by name, (rows, columns)."""
     names = "dq", "dv", "dfriction", "drestitution"
     size = d.dP_dq.size // d.dP_dq.shape[-1]
     return {
@@ -67,7 +67,7 @@ def blocks(d):
 
 
 def differences(model, data, q, v, contacts, step=2e-4, **options):
-    """Return the same by differences of fourth order of `impact`."""
+    """Return the same as `blocks` by difference quotients of fourth order."""
     n = len(contacts)
 
     def after(q, v, contacts=contacts):
@@ -87,7 +87,7 @@ def differences(model, data, q, v, contacts, step=2e-4, **options):
 
 
 def agree(d, expected, tolerance=1e-8):
-    """Whether all derivatives are those expected, to a part of their norm."""
+    """Return whether all derivatives agree within a tolerance relative to their norm."""
     found = blocks(d)
     return all(
         np.linalg.norm(found[name] - value) <= tolerance * max(np.linalg.norm(value), 1.0)
@@ -131,7 +131,7 @@ def test_locked_joints_and_held_contacts():
     contacts, locked = CONTACTS["floor and slope"], ["FR_KFE", "HR_HAA"]
     d = impact_derivatives(model, data, q, v, contacts, locked=locked)
     assert agree(d, differences(model, data, q, v, contacts, locked=locked))
-    # a foot that is held is at rest, at every q
+    # at each q the velocity is projected so that the held foot is at rest
     hold = Contact(FEET[3], Plane())
 
     def standing(q):
@@ -160,7 +160,7 @@ def test_one_contact_in_a_list():
     assert agree(many, {name: np.vstack(rows) for name, rows in expected.items()}, 1e-9)
 
 
-def test_impacts_that_do_not_feel_each_other():
+def test_decoupled_impacts_of_two_robots():
     model, data = two_arms()
     rng = np.random.default_rng(4)
     contacts = [Contact(tip, Plane(), 0.3, 0.5, "energetic") for tip in ("tool0", "other_tool0")]
@@ -179,7 +179,7 @@ def test_impacts_that_do_not_feel_each_other():
         assert np.allclose(d.dP_dfriction[k, :, 1 - k], 0.0, atol=1e-9)
 
 
-def test_the_numbering_does_not_matter():
+def test_order_of_contacts_does_not_matter():
     model, data, q, v = quadruped(5)
     contacts = CONTACTS["on the robot itself"]
     one = impact_derivatives(model, data, q, v, contacts)
@@ -189,7 +189,7 @@ def test_the_numbering_does_not_matter():
     assert np.allclose(one.dP_dv, other.dP_dv[::-1], rtol=1e-9, atol=1e-9)
 
 
-# ---- closed forms and invariants
+# ---- closed forms and identities
 
 
 @pytest.mark.parametrize(
@@ -201,12 +201,12 @@ def test_two_balls_swap_their_velocities(policy, law):
     d = impact_derivatives(model, model.createData(), q, [1.0, -0.5], contacts, simultaneous=policy)
     assert np.allclose(d.dv_dv, [[0.0, 1.0], [1.0, 0.0]], atol=1e-9)
     assert np.allclose(d.dv_dq, 0.0, atol=1e-9)
-    # (1 − e)/2 and (1 + e)/2 of a velocity stay and pass on
+    # v₁⁺ = (1 − e)/2 v₁ + (1 + e)/2 v₂, and vice versa
     assert np.allclose(d.dv_drestitution[:, 0], [-0.75, 0.75], atol=1e-8)
     assert d.boundary & Boundary.BOUND
 
 
-def test_a_row_of_balls_keeps_momentum_and_energy():
+def test_row_of_balls_conserves_momentum_and_energy():
     v = np.array([1.0, 0.3, 0.0, -0.2])
     model, contacts, q = chain(4, 1.0, (1.0, 100.0, 1e4))
     d = impact_derivatives(model, model.createData(), q, v, contacts)
@@ -215,15 +215,15 @@ def test_a_row_of_balls_keeps_momentum_and_energy():
     assert np.allclose(d.dv_dv @ v, d.v, atol=1e-9)
 
 
-def test_balls_one_after_the_other_exchange_velocities():
+def test_sequence_of_elastic_impacts_sorts_velocities():
     model, contacts, q = chain(3, 1.0)
     v = np.array([3.0, 1.0, -2.0])
     d = impact_derivatives(model, model.createData(), q, v, contacts, simultaneous="sequence")
     assert np.allclose(d.dv_dv, np.eye(3)[np.argsort(v)], atol=1e-9)
 
 
-def test_velocities_scale():
-    # P is homogeneous in the velocities where no surface moves, at whatever regime
+def test_impulses_are_homogeneous_in_velocities():
+    # of degree 1 if no surface moves, in all regimes
     for seed in range(6):
         model, data, q, v = quadruped([6, seed])
         contacts = [Contact(name, Plane(), 0.4, 0.3, "energetic") for name in FEET]
@@ -233,7 +233,7 @@ def test_velocities_scale():
         assert np.allclose(d.dv_dv @ v, hit.v, atol=1e-8)
 
 
-# ---- what is redundant, at bounds, at rest
+# ---- redundant contacts, bounds of coefficients, contacts at rest
 
 
 @pytest.mark.parametrize(("mu", "e"), [(0.3, 0.0), (0.0, 0.4)])
@@ -250,7 +250,7 @@ def test_corners_of_a_box(mu, e):
     assert np.allclose(d.dv_dv, by_v, atol=1e-8)
 
 
-def test_a_foot_at_rest_has_sides():
+def test_derivatives_by_motion_of_foot_at_rest_are_nan():
     model, data, q, v = quadruped(7)
     strikes, rests = CONTACTS["floor and slope"][0], Contact(FEET[3], Plane(), 0.6, 0.0, "energetic")
     rows = pinimpact.contact_matrices(model, data, q, rests).jacobian
@@ -266,7 +266,7 @@ def test_a_foot_at_rest_has_sides():
 
 
 @pytest.mark.parametrize(("side", "ball"), [(1, 2), (-1, 3)])
-def test_balls_at_rest_to_one_side(side, ball):
+def test_one_sided_derivatives_of_balls_at_rest(side, ball):
     model, contacts, q = chain(4, 0.5, (1.0, 2.0, 1.0))
     data, v = model.createData(), np.array([1.0, 0.0, 0.0, 0.0])
     both = impact_derivatives(model, data, q, v, contacts)
@@ -280,8 +280,8 @@ def test_balls_at_rest_to_one_side(side, ball):
 
 
 @pytest.mark.parametrize("seed", [*range(28), pytest.param(28, marks=pytest.mark.exhaustive), 29])
-def test_no_finite_number_is_wrong(seed):
-    # balls at rest, ties and symmetries: what is finite is the slope to either side
+def test_finite_derivatives_are_correct_on_both_sides(seed):
+    # with balls at rest, ties and symmetries
     rng = np.random.default_rng([8, seed])
     model, contacts, q = chain(4, float(rng.choice([0.0, 0.5, 1.0])), rng.choice([1.0, 2.0], 3))
     data, v = model.createData(), rng.integers(-1, 3, 4).astype(float)
@@ -291,7 +291,7 @@ def test_no_finite_number_is_wrong(seed):
         return impact(model, data, q, v + s * np.eye(4)[k], contacts).v
 
     for k in np.flatnonzero(np.isfinite(d.dv_dv).all(axis=0)):
-        for h in (1e-5, -1e-5):  # second order to one side
+        for h in (1e-5, -1e-5):  # one-sided quotients of second order
             by_side = (-3 * after(k, 0.0) + 4 * after(k, h) - after(k, 2 * h)) / (2 * h)
             assert np.allclose(by_side, d.dv_dv[:, k], atol=1e-5)
 
@@ -312,7 +312,7 @@ def test_bad_input():
 
 
 def corners(seed, count, rows):
-    """Return a problem at contacts of which only so many rows of J are independent, and J."""
+    """Return a random problem at `count` contacts with J (3 count, rows), and J."""
     rng = np.random.default_rng(seed)
     jacobian = rng.normal(size=(3 * count, rows))
     velocity = (jacobian @ rng.normal(size=rows)).reshape(count, 3)
@@ -320,7 +320,7 @@ def corners(seed, count, rows):
     return ImpactProblem(jacobian @ jacobian.T, velocity, friction, restitution, "energetic"), jacobian
 
 
-def test_contacts_that_do_not_feel_each_other_have_the_derivatives_of_one_contact():
+def test_decoupled_contacts_have_the_derivatives_of_single_contacts():
     rng, delassus, singles = np.random.default_rng(4), np.zeros((6, 6)), []
     velocity, friction, restitution = [[0.4, 0.2, -1.0], [-0.3, 0.5, -0.8]], [0.3, 0.6], [0.5, 0.7]
     for k in range(2):
@@ -351,8 +351,8 @@ def test_contacts_that_do_not_feel_each_other_have_the_derivatives_of_one_contac
 
 
 @pytest.mark.parametrize(("seed", "count", "rows"), [(1, 2, 6), (5, 2, 5), (2, 3, 6), (8, 3, 9)])
-def test_derivatives_in_contact_space_obey_the_scales_and_differences(seed, count, rows):
-    """P is of degree 1 in v° and of degree -1 in W; W of redundant contacts changes with J."""
+def test_derivatives_in_contact_space(seed, count, rows):
+    """P is of degree 1 in v° and of degree −1 in W; W of redundant contacts changes with J."""
     problem, jacobian = corners(seed, count, rows)
     solution = solve_impact(problem, derivatives=True)
     d, P, v = solution.derivatives, solution.impulse, np.asarray(problem.velocity)
@@ -381,7 +381,7 @@ def test_derivatives_in_contact_space_obey_the_scales_and_differences(seed, coun
     np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
-def test_derivatives_of_what_is_integrated_by_steps_are_not_known():
+def test_derivatives_of_impacts_integrated_by_steps_are_nan():
     problem = ImpactProblem(*landing_by_steps(), 0.8, 0.5, "energetic")
     solution = solve_impact(problem, derivatives=True)
     assert "steps" in solution.notes[-1]

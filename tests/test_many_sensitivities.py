@@ -1,4 +1,4 @@
-"""Derivatives of motions through impacts at several contacts against differences of `simulate`."""
+"""Derivatives of motions through impacts at several contacts against difference quotients of `simulate`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def groups(run):
 
 
 def landing(mu, e, v, dry=0.0):
-    """Return solo12 with two feet just above the floor, tilted, and a state in which they land in turn."""
+    """Return a scene of a tilted solo12 whose two feet land one after the other, and q and v."""
     model, data = load("solo12")
     model.friction = np.r_[np.zeros(6), dry * np.ones(12)]
     model.damping, model.armature = (
@@ -49,14 +49,14 @@ def landing(mu, e, v, dry=0.0):
     return Scene(model, feet, **FREE), q, np.r_[v, 0, 0, 0, 0.05 * swing]
 
 
-def test_a_foot_strikes_while_another_sticks():
+def test_foot_lands_while_another_sticks():
     scene, q, v = landing(2.0, 0.0, [0.0, 0.0, -0.3])
     run = check_sensitivity(scene, q, v, 0.03, 1, ("friction:second",))
     assert {"first", "second"} in groups(run)
     assert {("first", "stick"), ("second", "stick")} <= modes(run)
 
 
-def test_a_foot_bounces_while_another_slides():
+def test_foot_bounces_while_another_slides():
     scene, q, v = landing(0.05, 0.4, [0.5, 0.1, -0.3])
     run = check_sensitivity(scene, q, v, 0.018, 2, ("friction:first", "restitution:second"))
     assert {"first", "second"} in groups(run)
@@ -72,7 +72,7 @@ def test_joints_with_dry_friction_take_part():
 
 @pytest.mark.parametrize("e", [0.0, 0.4])
 def test_three_feet(e):
-    # bounces below the resting speed are taken away with all they do to what slides
+    # rebounds below the resting speed are removed, with their effect on sliding contacts
     model, _ = load("solo12")
     q = np.array(pinimpact.load_robot("solo12").q0)
     q[2] += 0.05
@@ -87,7 +87,7 @@ def test_three_feet(e):
 
 
 def arm():
-    """Return three links whose elbow hangs on its lower limit."""
+    """Return an arm of three links whose elbow has a lower limit."""
     model, parent = pin.Model(), 0
     for i, lower in enumerate((-10.0, -0.3, -10.0)):
         kind = pin.JointModelRY() if i < 2 else pin.JointModelRX()
@@ -102,8 +102,8 @@ def arm():
 
 
 @pytest.mark.parametrize(("e", "dry"), [(0.5, 0.0), (0.0, 0.0), (0.5, 0.5)])
-def test_a_joint_limit_takes_part(e, dry):
-    # the tip strikes while the elbow is on its limit, or the elbow while the tip is on the floor
+def test_joint_limit_takes_part(e, dry):
+    # the tip lands while the elbow is at its limit, or the elbow reaches it while the tip is on the floor
     model = arm()
     model.friction[:] = dry
     tip = Contact("tip", Plane(point=(0, 0, -0.45)), 0.3, e, "energetic", name="tip")
@@ -113,8 +113,8 @@ def test_a_joint_limit_takes_part(e, dry):
     assert {"tip", "j1 lower"} in groups(run)
 
 
-def test_what_is_at_rest_has_its_restitution():
-    # the elbow strikes its limit while the tip slides on the floor, from which it then bounces
+def test_sliding_contact_has_restitution():
+    # the elbow strikes its limit while the tip slides on the floor; then the tip bounces
     tip = Contact("tip", Plane(point=(0, 0, -0.45)), 0.1, 0.4, "energetic", name="tip")
     scene = Scene(arm(), [tip], limit_restitution=0.5)
     start = np.array([[0.2, -0.05, 0.05], [1.3, -1.0, 0.1]])
@@ -124,7 +124,7 @@ def test_what_is_at_rest_has_its_restitution():
 
 
 def test_two_joint_limits():
-    # stiffnesses of limits alone are the inverses of their W
+    # without contacts the stiffnesses of limits are the inverses of their W
     model = arm()
     model.lowerPositionLimit[0] = -0.5
     start = np.array([[-0.2, -0.29, 0.05], [-3.0, -0.3, 2.0]])
@@ -133,15 +133,15 @@ def test_two_joint_limits():
 
 
 @pytest.mark.parametrize("e", [0.0, 0.5])
-def test_a_joint_limit_beside_a_locked_joint(e):
+def test_joint_limit_with_locked_joint(e):
     scene = Scene(arm(), [], limit_restitution=e, locked=["j2"])
     run = check_sensitivity(scene, *np.array([[-0.2, -0.25, 0.05], [0.3, -0.2, 0.0]]), 0.1, 1)
     assert run.impacts[0].source == "j1 lower"
 
 
 @pytest.mark.parametrize(("mu", "e"), [(1.0, 0.3), (0.1, 0.0)])
-def test_a_planar_biped(mu, e):
-    # W is singular, and a foot that is closed is lifted by the other one's impact
+def test_planar_biped(mu, e):
+    # W is singular, and the impact of one foot makes the other one separate
     model = pin.Model()
     upright = pin.SE3(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0), np.zeros(3))
     base = model.addJoint(0, pin.JointModelPlanar(), upright, "base")
@@ -165,7 +165,7 @@ def test_a_planar_biped(mu, e):
     assert len(run.impacts) >= 2
 
 
-def test_linearize_through_it():
+def test_linearize_through_impact():
     scene, q, v = landing(2.0, 0.0, [0.0, 0.0, -0.3])
     exact = {"rtol": 1e-12, "atol": 1e-14}
     stepper, tau = Stepper(scene, q, v, **exact), 0.1 * np.r_[np.zeros(6), np.ones(12)]
@@ -175,7 +175,7 @@ def test_linearize_through_it():
     assert found.boundary in (Boundary.NONE, Boundary.CLOSED)
     rng = np.random.default_rng(1)
     dx, du = rng.normal(size=36), rng.normal(size=18)
-    # changes of the state that keep the foot where it is and at rest
+    # changes of the state that do not move the foot, nor its velocity
     foot = pinimpact.contact_matrices(scene.model, scene.model.createData(), q, scene.contacts[1]).jacobian
     dx[:18] = 0.0
     dx[18:] -= np.linalg.pinv(foot) @ foot @ dx[18:]
@@ -195,8 +195,8 @@ def test_linearize_through_it():
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 @pytest.mark.parametrize("what", ["edges", "corner on face"])
-def test_a_box_strikes_another_that_stands(what, restitution):
-    # both contacts take part: that of the boxes, and the ball below the lower one
+def test_box_strikes_standing_box(what, restitution):
+    # the contact of the boxes and the ball below the lower one take part
     places, turns = {
         "edges": ([(0, 0, 0.2), (0.07, 0.03, 0.45)], [(0, 0.8, 0.1), (0.8, 0, 0)]),
         "corner on face": ([(0, 0, 0.2), (0.02, 0.01, 0.43)], [(0, 0, 0.1), (0.5, 0.6, 0.1)]),
@@ -208,13 +208,13 @@ def test_a_box_strikes_another_that_stands(what, restitution):
     options = {"scheme": "event-driven", "rtol": 1e-11, "atol": 1e-13}
     run = simulate(scene, q, v, 0.03, sensitivities="state", **options)
     assert {impact.source for impact in run.impacts} == {"box 1 on box 0", "ball"}
-    towards = np.zeros(24)
-    towards[[*range(6, 12), *range(18, 24)]] = np.random.default_rng(0).normal(size=12)
+    direction = np.zeros(24)
+    direction[[*range(6, 12), *range(18, 24)]] = np.random.default_rng(0).normal(size=12)
     ends = []
     for s in (-2, -1, 1, 2):
-        e = 1e-5 * s * towards
+        e = 1e-5 * s * direction
         end = simulate(scene, pin.integrate(model, q, e[:12]), v + e[12:], 0.03, **options)
         ends.append(np.concatenate([pin.difference(model, run.q[-1], end.q[-1]), end.v[-1]]))
     a, b, c, d = ends
     expected = (a - 8 * b + 8 * c - d) / 12e-5
-    assert np.allclose(run.sensitivity(0.03).state @ towards, expected, atol=1e-8 * np.abs(expected).max())
+    assert np.allclose(run.sensitivity(0.03).state @ direction, expected, atol=1e-8 * np.abs(expected).max())

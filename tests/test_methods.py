@@ -1,4 +1,4 @@
-"""The stepping methods: observed orders, agreement with the 50-digit table, invariants, input."""
+"""Stepping methods: orders of convergence, agreement with the 50-digit table, invariants, options."""
 
 import dataclasses
 import itertools
@@ -48,7 +48,7 @@ def _order(problem, method, steps):
 
 @pytest.mark.parametrize("name", ["smooth slip", "slip to stick", "resumed slip", "jam"])
 def test_euler_is_of_first_order(name):
-    # where slip ends, the place of the end within its step makes the error uneven: hence many steps
+    # the error depends on where in a step slip ends, so the order is fitted over many numbers of steps
     assert _order(CLASSES[name], "euler", STEPS) == pytest.approx(1.0, abs=0.15)
 
 
@@ -60,7 +60,7 @@ def test_rk4_is_of_fourth_order_in_smooth_slip(law):
 
 @pytest.mark.parametrize("name", ["slip to stick", "resumed slip", "near-critical friction"])
 def test_rk4_keeps_its_order_where_slip_ends(name):
-    # the direction of slip has no derivative at v_t = 0: steps of one length would be of first order
+    # as the direction of slip is not differentiable at v_t = 0, constant steps would be of first order
     assert _order(CLASSES[name], "rk4", [20, 40, 80, 160, 320]) > 3.3
 
 
@@ -74,29 +74,29 @@ def _agrees(p, k, law, method, tolerance, **options):
 
 @pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
 @pytest.mark.parametrize("category", ["general", "near-critical friction", "planar", "rank two, rounded"])
-def test_creep_is_no_obstacle(category, law):
-    """Slip whose direction settles within ever shorter impulses is nothing to steps of chosen length."""
+def test_adaptive_method_for_slow_slip(category, law):
+    """The direction of slip converges within ever shorter impulses, to which the step size adapts."""
     p = random_impacts.draw(np.random.default_rng(5), category, 150)
     agree = [_agrees(p, k, law, "adaptive", 1e-4, rtol=1e-8) for k in range(150)]
     assert all(agree)
 
 
 @pytest.mark.parametrize("category", ["rank two, exactly", "tiny slip"])
-def test_rk4_never_swings(category):
-    """Steps longer than slip takes to settle would swing across it, and end anywhere."""
+def test_rk4_does_not_oscillate(category):
+    """Steps longer than the convergence of the direction of slip would oscillate around it."""
     p = random_impacts.draw(np.random.default_rng(7), category, 300)
     answered = agree = 0
     for k in range(300):
         try:
             agree += _agrees(p, k, "poisson", "rk4", 1e-4, steps=100)
-        except PinimpactError:  # creep of more steps than allowed, or an approach that nothing stops
+        except PinimpactError:  # too many steps of slow slip, or an unstoppable approach
             continue
         answered += 1
     assert agree == answered > 270
 
 
-def test_the_stiff_step_is_of_fourth_order():
-    """Against short steps of Dormand and Prince; its estimate of the error is of third order."""
+def test_order_of_stiff_step():
+    """Compare with short Dormand–Prince steps: errors are of order h⁵, their estimates of order h⁴."""
     from pinimpact.contact_space._kernels.butcher import DORMAND_PRINCE
     from pinimpact.contact_space._kernels.slip_steps import slip_step
     from pinimpact.contact_space._kernels.stiff_step import STAGES, stiff_step
@@ -134,14 +134,14 @@ def test_adaptive_follows_its_tolerance(name):
 
 
 @pytest.mark.parametrize("name", list(CLASSES))
-def test_the_scipy_baseline_agrees(name):
-    # its threshold on the speed of slip is ten times rtol
+def test_solve_ivp_agrees(name):
+    # its threshold of the speed of slip is ten times rtol
     for rtol in (1e-5, 1e-8):
         assert _errors(CLASSES[name], "solve_ivp", [{"rtol": rtol}])[0] <= 100.0 * rtol
 
 
 def _rows():
-    """Two rows of each category and law of the table, where a rounding of the input changes little."""
+    """Yield two rows of each category and law of the table with a low sensitivity to rounding errors."""
     for category in np.unique(TABLE.category):
         for law in np.unique(TABLE.law):
             rows = np.flatnonzero((TABLE.category == category) & (TABLE.law == law))
@@ -215,19 +215,19 @@ def test_every_stepped_impact_obeys_mechanics(method, problem):
 
 @pytest.mark.parametrize("method", list(STEPPING))
 @pytest.mark.parametrize("name", list(CLASSES))
-def test_methods_tell_the_same_story(method, name):
+def test_methods_have_the_same_flags_and_status(method, name):
     exact = solve_impact(CLASSES[name])
     stepped = solve_impact(CLASSES[name], method, **STEPPING[method])
     near = Flag.NEAR_JUMP | Flag.NEAR_STICK_THRESHOLD | Flag.SLIP_TURNED
     if name == "near-invariant start":
-        near |= Flag.SLIP_RESUMED  # a step sees v_t vanish where it passes zero within 1e-4
+        near |= Flag.SLIP_RESUMED  # v_t passes zero within 1e-4, which a step takes as zero
     assert stepped.flags & ~near == exact.flags & ~near
     assert stepped.status == exact.status
 
 
 @pytest.mark.parametrize("method", list(STEPPING))
 def test_impact_without_collision(method):
-    # v₃ = 0 and friction drives the surface in: steps are measured by the impulse that would end slip
+    # at v₃ = 0 with negative normal acceleration, step sizes are relative to the impulse that ends slip
     problem = ImpactProblem([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], (1.0, 0.5, 0.0), 1.5, 0.5)
     exact = solve_impact(problem)
     stepped = solve_impact(problem, method, **STEPPING[method])
@@ -238,7 +238,7 @@ def test_impact_without_collision(method):
 
 @pytest.mark.parametrize("method", list(STEPPING))
 def test_locked_mechanism(method):
-    # the paper's pendulum: stick ties v₃ to v_t, and Poisson's law still spends its impulse
+    # the paper's pendulum: sticking implies v₃ = 0, but Poisson's law applies the impulse of restitution
     root = np.sqrt(0.5)
     problem = ImpactProblem([[1.5, 0, 1.5], [0, 3, 0], [1.5, 0, 1.5]], (-root, root, -root), 1.2, 0.8)
     stepped = solve_impact(problem, method, **STEPPING[method])
@@ -249,7 +249,7 @@ def test_locked_mechanism(method):
 
 @pytest.mark.parametrize("method", list(STEPPING))
 def test_slip_that_no_impulse_changes(method):
-    # nothing acts along the surface: friction has its bound, and v_t stays what it is
+    # tangential impulses do not change v_t, and friction is at its bound
     problem = ImpactProblem(np.diag([0.0, 0.0, 2.0]), (3.0, -4.0, -1.0), 0.3, 0.5)
     stepped = solve_impact(problem, method, **STEPPING[method])
     assert stepped.velocity == pytest.approx([3.0, -4.0, 0.5], abs=1e-12)
@@ -257,8 +257,8 @@ def test_slip_that_no_impulse_changes(method):
 
 
 @pytest.mark.parametrize("method", list(STEPPING))
-def test_slip_and_approach_that_end_together(method):
-    """With s = 0 and W's own velocities v₃ = κ·v_t: rounding makes no second compression of that end."""
+def test_slip_and_compression_that_end_together(method):
+    """As v is in the range of W, v₃ = κ·v_t; rounding errors must not cause a second compression."""
     fine = STEPPING | {"euler": {"steps": 1000}, "rk4": {"steps": 200}}
     rng = np.random.default_rng(3)
     (W, v, mu), e = random_impacts.rank_rounded(rng, 200, 2), rng.random(200)
@@ -268,7 +268,7 @@ def test_slip_and_approach_that_end_together(method):
         assert (exact.flags ^ stepped.flags) & Flag.SECOND_COMPRESSION == Flag(0)
 
 
-def test_steps_without_compiling():
+def test_steps_without_compiler():
     script = (
         "import numba, pinimpact.studies.cost as cost; from pinimpact import solve_impact\n"
         "assert numba.config.DISABLE_JIT\n"
@@ -322,7 +322,7 @@ def test_unknown_options():
         solve_impact(CLASSES["planar"], "adaptive", steps=3)
 
 
-def test_endless_slip_is_given_up():
+def test_too_many_steps_raise():
     problem = ImpactProblem([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], (1.0, 0.5, -1e-9), 1.5, 0.5)
     with pytest.raises(PinimpactError, match="exact"):
         solve_impact(problem, "euler", steps=10)
@@ -330,7 +330,7 @@ def test_endless_slip_is_given_up():
 
 @pytest.fixture
 def shifted():
-    """Methods whose answer is known: the impulse is the number that they are made with."""
+    """Return a function that makes methods with a given normal impulse; unregister them after the test."""
 
     def make(number):
         def run(inputs, trace, path):
@@ -345,7 +345,7 @@ def shifted():
         methods_module._loaded.pop(name, None)
 
 
-def test_a_known_name_is_replaced_only_if_asked(shifted):
+def test_known_name_is_replaced_only_on_request(shifted):
     problem = CLASSES["planar"]
     register_method("shifted", shifted(1.0))
     assert solve_impact(problem, "shifted").impulse[2] == 1.0
@@ -357,7 +357,7 @@ def test_a_known_name_is_replaced_only_if_asked(shifted):
     assert solve_impact(problem, "shifted").impulse[2] == 2.0
 
 
-def test_exact_stays(shifted):
+def test_exact_cannot_be_replaced(shifted):
     before = solve_impact(CLASSES["planar"]).impulse
     with pytest.raises(InputError, match="exact"):
         register_method("exact", shifted(1.0), replace=True)
@@ -371,8 +371,8 @@ def test_registered_methods():
     assert all(method.summary for method in METHODS.values())
 
 
-def test_no_jam_is_seen_in_slip_that_dies():
-    """Its direction is lost in the error of the impulse; the exact method and the reference see no jam."""
+def test_no_false_jam_as_slip_vanishes():
+    """The error of the impulse hides the direction of vanishing slip."""
     rng = np.random.default_rng(21)
     turn = np.linalg.qr(rng.standard_normal((60, 3, 3)))[0]
     stiffness = 10.0 ** np.array([0.0, -3.0, -6.0])

@@ -1,4 +1,4 @@
-"""Coefficients of contacts from whole motions."""
+"""Identification of friction and restitution from whole motions."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def motions():
 
 
 @pytest.mark.slow
-def test_coefficients_of_simulated_tosses_are_found(motions) -> None:
-    """The given ones are wrong; what is fitted is 0.25 and 0.4, to the noise of the recordings."""
+def test_fit_of_simulated_tosses(motions) -> None:
+    """From wrong initial values the fit converges to the true 0.25 and 0.4, within the noise."""
     scene = box_scene(0.5, 0.1)
     free = {"friction": (0.05, 0.6), "restitution": (0.0, 0.8)}
     with ThreadPoolExecutor(1) as pool:
@@ -34,7 +34,7 @@ def test_coefficients_of_simulated_tosses_are_found(motions) -> None:
 
 
 @pytest.mark.slow
-def test_flights_have_intervals_with_the_given_coefficients(motions) -> None:
+def test_intervals_of_fit_with_restarts_contain_the_true_coefficients(motions) -> None:
     free = {"friction": (0.05, 0.6), "restitution": (0.0, 0.8)}
     fit = studies.identify(scene=box_scene(0.5, 0.1), free=free, trajectories=motions, restart=True)
     assert not fit.unidentified
@@ -46,8 +46,8 @@ def test_flights_have_intervals_with_the_given_coefficients(motions) -> None:
 
 
 @pytest.mark.parametrize(("jump", "has_interval"), [(0.0, True), (1e-4, True), (0.1, False)])
-def test_motions_that_jump_take_away_the_interval(jump, has_interval) -> None:
-    """Three residuals y and y³, and one with a step at x; y + jump/h has nearly all of its information."""
+def test_no_interval_if_motions_jump(jump, has_interval) -> None:
+    """One residual has a step at x, by which its difference quotient dominates the information on y."""
     result = studies.Identified(
         x=np.array([0.5, 0.5]),
         names=("friction", "restitution"),
@@ -72,7 +72,7 @@ def test_motions_that_jump_take_away_the_interval(jump, has_interval) -> None:
 
 
 def test_residuals_are_distances_of_poses(motions) -> None:
-    """Two poses of a motion that differ by a shift and a turn: |r|² is their mean kinetic energy over m/2."""
+    """|r|² is the mean over frames of |shift|² and rotation² weighted by inertia/m."""
     scene = box_scene(0.25, 0.4)
     (start,) = starts_of(scene, motions[:1], False, "trajectories")
     inertia = scene.model.inertias[1].inertia / scene.model.inertias[1].mass
@@ -112,7 +112,7 @@ def test_bad_input(motions, changed, message) -> None:
     assert message in str(caught.value)
 
 
-def test_a_parameter_of_one_contact_is_set_for_that_contact() -> None:
+def test_parameter_of_one_contact_is_set_for_that_contact() -> None:
     scene = box_scene()
     fit = studies.Identified(
         names=("friction:corner 2",), x=np.array([0.9]), law=None, setters={"friction": _set}
@@ -121,7 +121,7 @@ def test_a_parameter_of_one_contact_is_set_for_that_contact() -> None:
 
 
 @pytest.mark.parametrize("names", [("friction", "friction:corner 2"), ("friction:corner 2", "friction")])
-def test_a_parameter_of_one_contact_overrides_that_of_all_in_any_order(names) -> None:
+def test_parameter_of_one_contact_overrides_that_of_all_in_any_order(names) -> None:
     x = np.array([0.9 if ":" in name else 0.3 for name in names])
     fit = studies.Identified(names=names, x=x, law=None, setters={"friction": _set})
     contacts = fit.apply(box_scene()).contacts

@@ -17,24 +17,24 @@ COMPILES = settings(deadline=None)
 
 @numba.njit
 def solve_least_norm(matrix, right, x, null):
-    """Call the kernel, which only kernels can."""
+    """Call the kernel from Python."""
     return least_norm.least_norm(matrix, right, TOLERANCE, x, null)
 
 
 @numba.njit
 def solve_square(matrix, right, x):
-    """Call the kernel, which only kernels can."""
+    """Call the kernel from Python."""
     return elimination.solve(matrix, right, x, TOLERANCE)
 
 
 @numba.njit
 def solve_symmetric(matrix, right, x):
-    """Call the kernel, which only kernels can."""
+    """Call the kernel from Python."""
     return semidefinite.solve_definite(matrix, right, x)
 
 
 def matrix_of_rank(seed, rows, columns, rank):
-    """A matrix whose singular values lie between 1 and 10, as many as its rank."""
+    """Return a random matrix of given rank with nonzero singular values between 1 and 10."""
     rng = np.random.default_rng(seed)
     left = np.linalg.qr(rng.normal(size=(rows, rows)))[0][:, :rank]
     right = np.linalg.qr(rng.normal(size=(columns, columns)))[0][:, :rank]
@@ -59,7 +59,7 @@ def test_least_norm_is_that_of_the_singular_values(seed, rows, columns, rank, co
     assert x == pytest.approx(expected, rel=1e-11, abs=1e-12)
 
 
-def test_least_norm_of_columns_that_repeat_shares_evenly():
+def test_least_norm_of_equal_columns_is_uniform():
     x = np.empty(4)
     assert solve_least_norm(np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([2.0]), x, np.empty((0, 4))) == 1
     assert x == pytest.approx(0.5, rel=1e-15)
@@ -90,7 +90,7 @@ def test_a_definite_system_is_solved_and_a_singular_one_refused(seed, size):
 
 @numba.njit
 def solve_cone_program(P, c, G, h, lines, sizes, x, s, z):
-    """Call the kernel, which only kernels can."""
+    """Call the kernel from Python."""
     return cone_program.cone_program(P, c, G, h, lines, sizes, 1e-12, x, s, z)
 
 
@@ -127,7 +127,7 @@ def test_a_cone_program_comes_with_the_proof_of_its_optimum(seed, size, lines, c
 
 @numba.njit
 def solve_factored(matrix, rights, order):
-    """Call the kernels, which only kernels can."""
+    """Call the kernels from Python."""
     if not lu.factorize(matrix, order):
         return False
     for right in rights:
@@ -149,8 +149,8 @@ def test_a_system_that_is_factored_once_is_solved_for_every_right_hand_side(seed
 
 
 @pytest.mark.parametrize("place", [(0, 0), (1, 1), (2, 0)])
-def test_row_order_of_a_matrix_that_is_not_finite_is_valid(place):
-    """Right-hand sides are permuted by it: other numbers would write beyond the array."""
+def test_row_order_of_non_finite_matrix_is_valid(place):
+    """Right-hand sides are permuted by it, so invalid indices would write out of bounds."""
     matrix, order = np.eye(3), np.full(3, 10**6)
     matrix[place] = np.nan
     regular = solve_factored(matrix, np.ones((2, 3)), order)
@@ -159,7 +159,7 @@ def test_row_order_of_a_matrix_that_is_not_finite_is_valid(place):
     assert (order < 3).all()
 
 
-def test_mass_matrix_that_is_not_finite_has_no_inverse():
+def test_non_finite_mass_matrix_has_no_inverse():
     upper, inverse = np.diag([1.0, np.nan, 1.0]), np.zeros((3, 3))
     tree, added = np.array([0, 1, 1]), np.zeros(3)
     assert not invert_trees(upper, added, tree, np.zeros((3, 3)), inverse)

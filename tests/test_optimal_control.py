@@ -1,9 +1,8 @@
-"""Optimal control through impacts, by gradients, reaches known optima. (arXiv 2207.05060 and 2305.00092)
+"""Optimal control through impacts by gradients, against known optima. (arXiv 2207.05060 and 2305.00092)
 
-Ball a is pushed from rest by forces u so that it strikes ball b, of the same mass, without friction and
-loss. b is to be at the origin at t = 1; the cost is |x_b(1)|² + ε ∫ |u|² dt. All depends on the time s, the
-normal n and the velocity at the impact. The forces that lead there are those of least norm, which leaves a
-minimum over four numbers.
+Forces u push ball a from rest so that it strikes ball b, of the same mass, elastically and without friction.
+The cost is |x_b(1)|² + ε ∫ |u|² dt. With the time s, the normal n and the velocity at impact given, the
+optimal forces have least norm, so the problem reduces to a minimum over four numbers.
 """
 
 from __future__ import annotations
@@ -17,7 +16,8 @@ from pinimpact import Contact, Plane, Scene, Sphere, Stepper
 
 RADIUS, END, WALL = 0.2, 1.0, 1.0
 
-# a and b at rest, ε, whether there is a wall; first guesses of u and of the four numbers; the least cost
+# initial positions of a and b, ε, and whether there is a wall; initial guesses of u and of the four numbers;
+# published minimum of the cost
 HEAD_ON = ((-2.0, -2.0), (-1.0, -1.0), 0.1, False), (3.0, 3.0), (0.7, 0.8, 2.5, 0.0), 1.3965421601
 OBLIQUE = ((-1.0, -2.0), (-1.0, -1.0), 0.01, False), (0.0, 3.0), (0.5, 0.9, 2.3, 2.0), 0.3114168704
 BY_THE_WALL = ((0.25, -0.3), (-0.5, 0.6), 0.01, True), (-3.5, 3.0), (0.55, 4.9, 2.0, -2.5), 0.3736363502
@@ -38,13 +38,13 @@ def balls(wall):
 
 
 def optimum(task, start, steps=None, until=END):
-    """Return the least cost, and the time of the impact, of forces constant in steps, or of all forces."""
+    """Return the minimal cost and the time of impact for forces constant in `steps`, or for any forces."""
     a, b, weight, wall = task
-    # b moves to the origin as if there were no wall and the start were mirrored
+    # with a wall, positions are mirrored in it
     a, b = (np.array([x, 2 * (WALL - RADIUS) - y] if wall else [x, y]) for x, y in (a, b))
 
     def gram(s):
-        """Return the products of what unit forces do to position and velocity at s."""
+        """Return the Gramian of the effects of forces on position and velocity at time s."""
         if steps is None:
             return np.array([[s**3 / 3, s**2 / 2], [s**2 / 2, s]])
         h = until / steps
@@ -67,7 +67,7 @@ def optimum(task, start, steps=None, until=END):
 
 
 def by_gradients(task, guess, steps, until):
-    """Return the least cost found, and the trajectory."""
+    """Return the minimal cost by BFGS, and the trajectory."""
     a, b, weight, wall = task
     stepper, h = Stepper(balls(wall), [*a, *b], np.zeros(4), rtol=1e-10), until / steps
     coast = [END - until] if until < END else []
@@ -92,18 +92,18 @@ def by_gradients(task, guess, steps, until):
 
 
 @pytest.mark.parametrize(("task", "guess", "start", "published"), [HEAD_ON, OBLIQUE, BY_THE_WALL])
-def test_the_reduction_to_four_numbers_has_the_published_optimum(task, guess, start, published):
-    # the minima of the formulas of the authors, in finer grids than theirs
+def test_reduction_to_four_numbers_has_the_published_optimum(task, guess, start, published):
+    # minima of the published formulas on finer grids
     assert optimum(task, start)[0] == pytest.approx(published, abs=1e-9)
     assert optimum(task, start, 480)[0] == pytest.approx(published, rel=2e-4)
 
 
-# the cost has a kink where an impact is at the end of a step; forces of the last two tasks end before it
+# the cost has a kink if an impact is at the end of a step; in the last two tasks forces end before the impact
 @pytest.mark.parametrize(
     ("case", "steps", "until"),
     [(HEAD_ON, 9, 1.0), (HEAD_ON, 20, 1.0), (OBLIQUE, 8, 0.4), (BY_THE_WALL, 8, 0.4)],
 )
-def test_gradients_lead_to_the_optimum(case, steps, until):
+def test_gradient_descent_reaches_the_optimum(case, steps, until):
     task, guess, start, _ = case
     least, s = optimum(task, start, steps, until)
     found, trajectory = by_gradients(task, guess, steps, until)

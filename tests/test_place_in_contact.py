@@ -1,4 +1,4 @@
-"""Configurations in contact: against a general optimizer, closed forms, and the bounds of reach."""
+"""`place_in_contact` against a general optimizer and closed forms; starts within rounding errors."""
 
 import numpy as np
 import pinocchio as pin
@@ -12,8 +12,8 @@ from . import robot_cases
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 
-def test_an_arm_comes_as_little_as_possible_from_where_it_was():
-    """Against scipy's SLSQP on the same problem, whose variables are all the coordinates."""
+def test_displacement_of_arm_is_minimal():
+    """Compare with scipy's SLSQP for the same problem."""
     robot = pinimpact.load_robot("panda")
     model, data = robot.model, robot.data
     hand = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane(point=(0, 0, 0.6), normal=(0.1, 0.3, 1)))
@@ -32,7 +32,7 @@ def test_an_arm_comes_as_little_as_possible_from_where_it_was():
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.2])
-def test_a_quadruped_stands_on_its_feet(slope):
+def test_quadruped_on_its_feet(slope):
     robot = pinimpact.load_robot("solo12")
     ground = pinimpact.Plane(normal=(np.sin(slope), 0, np.cos(slope)))
     feet = [pinimpact.Contact(foot, ground, radius=0.01) for foot in FEET]
@@ -42,7 +42,7 @@ def test_a_quadruped_stands_on_its_feet(slope):
     q = pinimpact.place_in_contact(robot, robot.data, q0, feet)
     assert max(abs(foot.gap(robot, robot.data, q)) for foot in feet) < 1e-11
     assert pin.isNormalized(robot.model, q)
-    # no displacement along the surfaces of contact would bring it closer: the gradient is normal to them
+    # optimality: the gradient of the distance is a combination of the normal rows
     x = pin.difference(robot.model, q0, q)
     closer = pin.dDifference(robot.model, q0, q, pin.ArgumentPosition.ARG1).T @ x
     rows = [
@@ -56,8 +56,8 @@ def test_a_quadruped_stands_on_its_feet(slope):
     assert np.linalg.norm(along) < 1e-5 * np.linalg.norm(closer)
 
 
-def test_joint_limits_are_kept_to():
-    """The elbow alone would do; with its range cut, the shoulder has to help."""
+def test_joint_limits_are_satisfied():
+    """Without its limits the elbow moves further; with them the shoulder moves too."""
     robot = pinimpact.load_robot("two_link_arm")
     model = robot.model.copy()
     table = pinimpact.Contact("tip", pinimpact.Plane(point=(0, 0, 0.5)))
@@ -72,8 +72,8 @@ def test_joint_limits_are_kept_to():
 
 
 @pytest.mark.parametrize(("height", "left"), [(5.0, 3.0), (-5.0, 3.0), (0.5, None)])
-def test_what_cannot_be_reached_is_told_with_the_distance_left(height, left):
-    """Two links of 1 m each about the origin reach 2 m; a plane of the arm's own swing is never met."""
+def test_surface_out_of_reach_raises_with_the_remaining_gap(height, left):
+    """Two links of 1 m reach 2 m; a plane parallel to that of the arm's motion is out of reach too."""
     robot = pinimpact.load_robot("two_link_arm")
     normal, left = ((0, 0, 1), left) if left else ((0, 1, 0), height)
     plane = pinimpact.Plane(point=height * np.array(normal), normal=normal)
@@ -85,7 +85,7 @@ def test_what_cannot_be_reached_is_told_with_the_distance_left(height, left):
     assert caught.value.value == pytest.approx(left, rel=1e-5)
 
 
-def test_two_that_exclude_each_other_are_told():
+def test_incompatible_contacts_raise():
     robot = pinimpact.load_robot("two_link_arm")
     low = pinimpact.Contact("tip", pinimpact.Plane(), name="low")
     high = pinimpact.Contact("tip", pinimpact.Plane(point=(0, 0, 0.5)), name="high")
@@ -96,8 +96,8 @@ def test_two_that_exclude_each_other_are_told():
 
 
 @pytest.mark.parametrize("name", ["panda", "kinova", "solo12", "talos", "double_pendulum_continuous"])
-def test_any_robot_meets_a_surface_that_it_can_reach(name):
-    """A surface through a place where the frame has been, from another configuration; also a carried ball."""
+def test_robots_reach_surfaces_within_their_reach(name):
+    """The plane or sphere is at a position of the frame at another random configuration."""
     rng = np.random.default_rng(7)
     model, data = robot_cases.load(name)
     low, high = np.maximum(model.lowerPositionLimit, -2), np.minimum(model.upperPositionLimit, 2)
@@ -118,7 +118,7 @@ def test_any_robot_meets_a_surface_that_it_can_reach(name):
                 assert model.lowerPositionLimit[i] <= q[i] <= model.upperPositionLimit[i]
 
 
-# ---- starts within rounding
+# ---- initial states within rounding errors of contact
 
 
 def standing(shift):
@@ -130,7 +130,7 @@ def standing(shift):
     return robot, pinimpact.Scene(robot, feet, control=hold), q
 
 
-def test_a_start_within_rounding_below_a_plane_rests_on_it():
+def test_start_within_rounding_below_plane_rests_on_it():
     robot, scene, q = standing(-1e-9)
     assert scene.contacts[0].gap(robot, robot.data, q) < -9e-10
     trajectory = pinimpact.simulate(scene, q, np.zeros(robot.nv), 0.05)
@@ -141,13 +141,13 @@ def test_a_start_within_rounding_below_a_plane_rests_on_it():
     assert not trajectory.impacts
 
 
-def test_a_start_further_below_is_an_error_still():
+def test_start_further_below_plane_raises():
     robot, scene, q = standing(-1e-8)
     with pytest.raises(pinimpact.InputError, match=r"starts 1e-08 m below its surface"):
         pinimpact.simulate(scene, q, np.zeros(robot.nv), 0.05, scheme="event-driven")
 
 
-def test_a_start_within_rounding_beyond_a_joint_limit_is_at_it():
+def test_start_within_rounding_beyond_joint_limit_is_moved_to_it():
     robot = pinimpact.load_robot("panda")
     q = robot.q0.copy()
     q[3] = robot.model.upperPositionLimit[3] + 5e-10

@@ -1,4 +1,4 @@
-"""Flights fitted to recorded poses, and the impacts between them."""
+"""Flights fitted to recorded poses, and impacts between flights."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def box_scene(friction: float = 0.2, restitution: float = 0.5) -> Scene:
 
 
 def toss(scene: Scene, rng: np.random.Generator, duration: float = 0.4):
-    """Return the simulated motion of a toss."""
+    """Return the trajectory of a random toss."""
     q0 = np.concatenate([[0, 0, 0.25], Rotation.random(rng=rng).as_quat()])
     v0 = np.concatenate([rng.normal(size=3), 6.0 * rng.normal(size=3)])
     v0[:3] = Rotation.from_quat(q0[3:]).inv().apply([*rng.normal(size=2), -1.0])
@@ -44,7 +44,7 @@ def toss(scene: Scene, rng: np.random.Generator, duration: float = 0.4):
 
 
 def recorded(trajectory, rng: np.random.Generator, sigma=(0.0, 0.0), **options) -> studies.Motion:
-    """Return frames of a motion, with noise."""
+    """Return frames of a trajectory at `RATE`, with noise of positions [m] and rotations [rad]."""
     t = np.arange(0.0, trajectory.duration, 1.0 / RATE)
     q = np.array([trajectory.at(time)[0] for time in t.tolist()])
     q[:, :3] += sigma[0] * rng.normal(size=(len(t), 3))
@@ -53,8 +53,8 @@ def recorded(trajectory, rng: np.random.Generator, sigma=(0.0, 0.0), **options) 
     return studies.Motion(t, q, **options)
 
 
-def test_a_symmetric_top_precesses_about_its_angular_momentum() -> None:
-    """Body axes: the transverse spin turns at (C − A) w₃ / A; world: the axis turns about L at |L|/A."""
+def test_precession_of_symmetric_top() -> None:
+    """The transverse spin turns at (C − A) w₃/A in body axes, and the axis about L at |L|/A in the world."""
     A, C = 2.0, 0.7
     inertia, w = np.diag([A, A, C]), np.array([0.3, 0.0, 4.0])
     R = Rotation.from_rotvec([0.1, 0.5, -0.3])
@@ -70,7 +70,7 @@ def test_a_symmetric_top_precesses_about_its_angular_momentum() -> None:
     assert found[:, 0] == pytest.approx((precession * R * spin).as_matrix(), abs=1e-8)
 
 
-def test_a_flight_is_fitted_with_its_covariance() -> None:
+def test_fit_of_flight_and_its_covariance() -> None:
     rng = np.random.default_rng(0)
     body = Body(np.zeros(3), np.diag([1.0, 2.0, 2.5]), np.array([0.0, 0.0, -9.81]))
     R, w, v = Rotation.random(rng=rng), np.array([4.0, -5.0, 6.0]), np.array([1.0, 0.2, -2.0])
@@ -82,20 +82,20 @@ def test_a_flight_is_fitted_with_its_covariance() -> None:
     assert exact.velocity == pytest.approx(v, abs=1e-10)
     assert exact.spin == pytest.approx(w, abs=1e-7)
     assert np.abs(exact.residuals).max() < 1e-8
-    sigma, off = np.array([1e-4, 1e-3]), []
+    sigma, errors = np.array([1e-4, 1e-3]), []
     for _ in range(200):
         noisy = Rotation.from_rotvec(sigma[1] * rng.normal(size=(12, 3))) * Rotation.from_matrix(
             matrices[:, 0]
         )
         flight = fit_flight(times, com + sigma[0] * rng.normal(size=(12, 3)), noisy, 0.1, body)
-        off.append(np.concatenate([flight.velocity - v, flight.spin - w]))
+        errors.append(np.concatenate([flight.velocity - v, flight.spin - w]))
     predicted = np.sqrt(np.diag(exact.covariance)) * np.repeat(sigma, 3)
-    assert np.std(off, axis=0) == pytest.approx(predicted, rel=0.2)  # four standard errors of 200
+    assert np.std(errors, axis=0) == pytest.approx(predicted, rel=0.2)  # four standard errors
 
 
 @pytest.mark.slow
-def test_impacts_of_simulated_tosses_are_found() -> None:
-    """States at impacts are those of the simulation, within the errors that the fits report."""
+def test_impacts_of_simulated_tosses() -> None:
+    """States at impacts agree with the simulation within the covariances of the fits."""
     rng, scene, sigma = np.random.default_rng(1), box_scene(), (5e-5, 5e-4)
     runs = [toss(scene, rng) for _ in range(12)]
     motions = [recorded(run, rng, sigma, group=f"toss {k}") for k, run in enumerate(runs)]
@@ -107,16 +107,16 @@ def test_impacts_of_simulated_tosses_are_found() -> None:
         (hit,) = [one for one in run.impacts if abs(one.time - found.time[i]) < 1e-3]
         assert hit.source == found.contact[i]
         assert found.q[i, :3] == pytest.approx(hit.q[:3], abs=3e-4)
-        off = np.concatenate([found.v_before[i] - hit.v_before, found.v_after[i] - hit.v_after])
-        scores.append(off @ np.linalg.solve(found.covariance[i], off))
-    # χ² of 12 numbers, where the noise is estimated and its effect on the instant left out
+        error = np.concatenate([found.v_before[i] - hit.v_before, found.v_after[i] - hit.v_after])
+        scores.append(error @ np.linalg.solve(found.covariance[i], error))
+    # χ² of 12 numbers, but with estimated noise and without its effect on the time of impact
     assert 8.0 < np.mean(scores) < 18.0
     fit = studies.identify(found, scene)
     assert fit.groups == len(set(found.group.tolist()))
     assert np.abs(fit.x - [0.2, 0.5]).max() < 4.0 * fit.standard_errors.max() < 0.03
 
 
-def test_impacts_of_a_scene_without_gravity_are_between_straight_flights() -> None:
+def test_impacts_of_scene_without_gravity() -> None:
     rng, scene = np.random.default_rng(4), replace(box_scene(), without=["gravity"])
     run = toss(scene, rng, 0.5)
     found = studies.impacts(scene, [recorded(run, rng, sigma=(1e-6, 1e-6))])
@@ -128,7 +128,7 @@ def test_impacts_of_a_scene_without_gravity_are_between_straight_flights() -> No
 
 
 @pytest.mark.slow
-def test_what_is_no_single_impact_is_dropped_with_a_reason() -> None:
+def test_other_than_single_impacts_are_dropped_with_a_reason() -> None:
     rng, scene = np.random.default_rng(2), box_scene(restitution=0.2)
     run = toss(scene, rng, 0.6)
     found = studies.impacts(scene, [recorded(run, rng, sigma=(1e-4, 1e-3), group="a")], clearance=0.01)
@@ -138,14 +138,14 @@ def test_what_is_no_single_impact_is_dropped_with_a_reason() -> None:
     assert len(found[:0]) == 0
 
 
-def test_without_impacts_nothing_is_found() -> None:
+def test_recording_without_impacts() -> None:
     scene = box_scene()
     run = simulate(scene, np.array([0, 0, 3.0, 0, 0, 0, 1.0]), np.array([0, 0, 0, 1.0, 2.0, 3.0]), 0.2)
     found = studies.impacts(scene, [recorded(run, np.random.default_rng(3))])
     assert (len(found), found.dropped, found.q.shape) == (0, (), (0, 7))
 
 
-def test_recordings_of_a_ball_that_does_not_turn_have_impacts() -> None:
+def test_recordings_of_ball_without_rotation() -> None:
     """A ball falls h = 0.3 m and rebounds with e times its speed; its rotations have no noise."""
     model, rng, g, e = pin.Model(), np.random.default_rng(0), 9.81, 0.7
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
@@ -186,12 +186,12 @@ T, Q = np.arange(12) / RATE, np.tile([0.0, 0, 1, 0, 0, 0, 1], (12, 1))
         ((T, Q, None, 1e-3), "sigma: shape"),
     ],
 )
-def test_bad_recordings_are_named(arguments, message: str) -> None:
+def test_invalid_recordings_raise(arguments, message: str) -> None:
     with pytest.raises(InputError, match=message):
         studies.Motion(*arguments)
 
 
-def test_impacts_are_those_of_one_free_body() -> None:
+def test_invalid_scenes_and_recordings_for_impacts_raise() -> None:
     motion = studies.Motion(T, Q)
     with pytest.raises(InputError, match="impacts is for one free body; 'panda' has 9 joints"):
         studies.impacts(Scene(load_robot("panda")), [motion])
@@ -208,7 +208,7 @@ def test_impacts_are_those_of_one_free_body() -> None:
 
 @pytest.mark.slow
 def test_impacts_of_recorded_cubes() -> None:
-    """Impacts that others found in these recordings, by fits of their own."""
+    """Compare with published impacts of these recordings by independent fits."""
     if not CUBES.is_file():
         pytest.skip(f"the recorded tosses are not in {CUBES.parent}")
     d, recordings = dict(np.load(CUBES)), dict(np.load(CUBES.with_name("trajectories.npz")))
@@ -227,15 +227,15 @@ def test_impacts_of_recorded_cubes() -> None:
     assert np.array_equal(found.contact[mine], names_of(d)[theirs])
     assert np.abs(found.q[mine, :3] - q[theirs, :3]).max() < 1e-3
     for ours, given, side in ((found.v_before, before, "before"), (found.v_after, after, "after")):
-        off = np.abs(ours[mine] - given[theirs])
-        assert np.median(off[:, :3] / d[f"sigma_v_{side}"][theirs, None]) < 6.0  # they leave out drag
-        assert np.median(off[:, 3:] / d[f"sigma_w_{side}"][theirs, None]) < 2.0
+        change = np.abs(ours[mine] - given[theirs])
+        assert np.median(change[:, :3] / d[f"sigma_v_{side}"][theirs, None]) < 6.0  # theirs neglect drag
+        assert np.median(change[:, 3:] / d[f"sigma_w_{side}"][theirs, None]) < 2.0
     fit = studies.identify(found, scene)
     assert np.all(np.abs(fit.x - [0.1606, 0.2696]) < 3.0 * fit.standard_errors)
 
 
 def cube_motions(d, recordings, count: int) -> list[studies.Motion]:
-    """Return the first recordings of the cube."""
+    """Return the first `count` recordings of the cube."""
     motions = []
     for k in range(count):
         rows = slice(*recordings["start"][k : k + 2])

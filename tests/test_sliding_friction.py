@@ -1,4 +1,4 @@
-"""Friction of sustained contact apart from that of impacts, against closed forms."""
+"""Separate friction coefficients for sustained contact and for impacts, against closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def point(plane=None, **options):
 
 
 @pytest.mark.parametrize("impacts", [0.0, 0.2, 2.0])
-def test_a_block_slides_down_a_slope_by_its_sliding_friction(impacts):
+def test_block_slides_down_slope_with_its_sliding_friction(impacts):
     mu = 0.3
     scene = point(Plane(normal=tuple(NORMAL)), friction=impacts, sliding_friction=mu)
     trajectory = run(scene, np.zeros(3), 0.1 * DOWN, 1.0)
@@ -31,18 +31,18 @@ def test_a_block_slides_down_a_slope_by_its_sliding_friction(impacts):
     )
 
 
-def test_a_block_stays_on_a_slope_if_its_sliding_friction_holds_it():
+def test_block_sticks_on_slope_depending_on_its_sliding_friction():
     held = point(Plane(normal=tuple(NORMAL)), friction=0.0, sliding_friction=np.tan(ANGLE) + 0.01)
-    let_go = point(Plane(normal=tuple(NORMAL)), friction=5.0, sliding_friction=np.tan(ANGLE) - 0.01)
+    released = point(Plane(normal=tuple(NORMAL)), friction=5.0, sliding_friction=np.tan(ANGLE) - 0.01)
     assert run(held, np.zeros(3), np.zeros(3), 1.0).q[-1] == pytest.approx(np.zeros(3), abs=1e-12)
     acceleration = 0.01 * G * np.cos(ANGLE)
-    assert run(let_go, np.zeros(3), np.zeros(3), 1.0).q[-1] == pytest.approx(
+    assert run(released, np.zeros(3), np.zeros(3), 1.0).q[-1] == pytest.approx(
         0.5 * acceleration * DOWN, abs=1e-9
     )
 
 
 @pytest.mark.parametrize(("mu", "sliding"), [(0.1, 0.4), (0.4, 0.1), (0.3, 0.0), (0.0, 0.3)])
-def test_an_impact_has_the_one_coefficient_and_the_slip_after_it_the_other(mu, sliding):
+def test_coefficients_of_impact_and_of_slip_after_it(mu, sliding):
     height, speed = 0.2, 3.0
     scene = point(friction=mu, sliding_friction=sliding)
     trajectory = run(scene, [0, 0, height], [speed, 0, 0], 0.4)
@@ -57,8 +57,8 @@ def test_an_impact_has_the_one_coefficient_and_the_slip_after_it_the_other(mu, s
     )
 
 
-def test_an_impact_without_collision_has_the_coefficient_of_the_slip_that_drives_it():
-    # Painlevé's rod, pushed ahead of its tip: c − μ b < 0 with the one coefficient, not with the other
+def test_impact_without_collision_has_the_coefficient_of_slip():
+    # Painlevé's rod: c − μ b is negative with the coefficient of sliding only
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12, 1 / 12]))
     rotation = pin.utils.rotate("y", -np.radians(60.0))
     q0 = [*(rotation @ [0.5, 0, 0]), *pin.Quaternion(rotation).coeffs()]
@@ -73,14 +73,14 @@ def test_an_impact_without_collision_has_the_coefficient_of_the_slip_that_drives
     assert found[1].v_after == pytest.approx(found[0].v_after, rel=1e-12)
 
 
-def test_it_is_the_friction_unless_it_is_given():
+def test_default_is_the_friction_of_impacts():
     contact = Contact("point", Plane(), friction=0.3)
     assert contact.sliding_friction is None
     assert contact.sustained_friction == 0.3
     assert Contact("point", Plane(), friction=0.3, sliding_friction=0.0).sustained_friction == 0.0
 
 
-def test_without_friction_there_is_neither():
+def test_scene_without_contact_friction_has_no_sliding_friction():
     contact = Contact("point", Plane(), sliding_friction=0.5)
     assert Scene(slider(), [contact]).plan()["contact friction"].on
     scene = Scene(slider(), [contact], without=["contact friction"])
@@ -88,6 +88,6 @@ def test_without_friction_there_is_neither():
 
 
 @pytest.mark.parametrize("wrong", [-0.1, np.nan, np.inf, "rough"])
-def test_what_is_no_coefficient_is_refused(wrong):
+def test_invalid_sliding_friction_raises(wrong):
     with pytest.raises(InputError, match="sliding_friction: "):
         Contact("point", Plane(), sliding_friction=wrong)

@@ -1,4 +1,4 @@
-"""Impacts on spheres: against those on tangent planes, and against what is known of balls."""
+"""Impacts on spheres against impacts on tangent planes, and against closed forms for balls."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ def rng(request):
 
 
 def tangent_plane(model, data, q, contact):
-    """The contact with, in place of its sphere, the plane that touches it where the tip is nearest."""
+    """Return the contact with its sphere replaced by the tangent plane at the point nearest to the tip."""
     seen = pinimpact.contact_matrices(model, data, q, contact)
     sphere = contact.plane
     body = pin.SE3.Identity() if sphere.body is None else data.oMf[model.getFrameId(sphere.body)]
@@ -59,7 +59,7 @@ def test_a_foot_held_on_a_sphere_is_held_on_its_tangent_plane(rng):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.05, 2.0])
-def test_a_ball_that_falls_beside_the_crown_of_another(friction):
+def test_ball_falls_on_ball_off_its_top(friction):
     m, r, R, e = 2.0, 0.1, 0.3, 0.6
     model = ball(m, r)
     offset, speed, spin = 0.17, 3.0, np.array([2.0, -5.0, 1.0])
@@ -85,7 +85,7 @@ def test_a_ball_that_falls_beside_the_crown_of_another(friction):
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_two_free_balls(friction, rng):
-    """A tip on one, a sphere on the other: both momenta are kept, and so is the law of restitution."""
+    """Linear and angular momentum are conserved, and the laws of restitution and friction are satisfied."""
     radii, masses, e = (0.1, 0.25), (2.0, 5.0), 0.7
     model = pin.Model()
     for name, m, r in zip("ab", masses, radii, strict=True):
@@ -104,7 +104,7 @@ def test_two_free_balls(friction, rng):
     assert contact.gap(model, model.createData(), q) == pytest.approx(0.0, abs=1e-14)
 
     def motion(v):
-        """Velocities, momentum and moment of momentum about the origin, in world axes."""
+        """Return slip, momentum and angular momentum about the origin, in world axes."""
         linear = [turns[k] @ v[6 * k : 6 * k + 3] for k in range(2)]
         spins = [turns[k] @ v[6 * k + 3 : 6 * k + 6] for k in range(2)]
         momentum = sum(m * x for m, x in zip(masses, linear, strict=True))
@@ -146,7 +146,7 @@ def test_no_kernel_is_compiled_anew_for_another_surface_or_carrier(rng):
     assert compiled[1:] == compiled[:1] * 3
 
 
-def test_a_default_name_tells_the_kind_of_surface():
+def test_default_name_contains_kind_of_surface():
     labels = [
         pinimpact.Contact("tip", surface).label
         for surface in (

@@ -1,4 +1,4 @@
-"""Motions on spheres and past them, against closed forms."""
+"""Motions in contact with spheres and past them, against closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DIRECTIONS = {
 
 
 def towards(up):
-    """An orthonormal frame (side, other side, up) as rows."""
+    """Return an orthonormal frame with rows (side, other side, up)."""
     up = np.array(up)
     side = np.cross(up, [0.3, 1.0, 0.2])
     side /= np.linalg.norm(side)
@@ -33,7 +33,7 @@ def weightless(model):
 
 
 @pytest.mark.parametrize("up", DIRECTIONS.values(), ids=DIRECTIONS)
-def test_a_point_that_slides_off_a_sphere_leaves_at_two_thirds_of_its_height(up):
+def test_sliding_point_leaves_sphere_at_two_thirds_of_its_height(up):
     side, _, crown = towards(up)
     model, radius, start = slider(), 0.7, 0.05
     model.gravity.linear = -G * crown
@@ -55,7 +55,7 @@ def test_a_point_that_slides_off_a_sphere_leaves_at_two_thirds_of_its_height(up)
 
 
 def rolling(mu, up, start=0.05):
-    """A solid ball let go near the crown of another one; the trajectory, and cos θ by the time."""
+    """Release a solid ball near the top of a sphere; return the trajectory, and cos θ as a function of t."""
     side, _, crown = towards(up)
     r, R = 0.1, 0.4
     model = ball(2.0, r)
@@ -68,8 +68,8 @@ def rolling(mu, up, start=0.05):
 
 @pytest.mark.parametrize("up", DIRECTIONS.values(), ids=DIRECTIONS)
 @pytest.mark.parametrize("mu", [0.2, 0.8, 3.0])
-def test_a_ball_rolls_on_a_ball_until_friction_gives_out(mu, up):
-    """Rolling, (17 c − 10 c₀)/7 and 2/7 √(1 − c²) are the normal and tangential force over the weight."""
+def test_ball_rolls_on_ball_until_friction_is_insufficient(mu, up):
+    """While rolling, normal and tangential force over the weight are (17 c − 10 c₀)/7 and 2/7 √(1 − c²)."""
     trajectory, height = rolling(mu, up)
     stick, slip = trajectory.modes
     assert (stick.mode, slip.mode) == ("stick", "slip")
@@ -80,23 +80,23 @@ def test_a_ball_rolls_on_a_ball_until_friction_gives_out(mu, up):
     assert v[:3] @ v[:3] == pytest.approx(10.0 / 7.0 * G * 0.5 * (first - c), rel=1e-7)
 
 
-def test_a_ball_that_cannot_slip_leaves_a_ball_at_ten_seventeenths_of_its_height():
-    off = []
+def test_rolling_ball_leaves_ball_at_ten_seventeenths_of_its_height():
+    errors = []
     for mu in (1e3, 1e5):
         trajectory, height = rolling(mu, (0.0, 0.0, 1.0))
-        off.append(abs(height(trajectory.modes[-1].end) - 10.0 / 17.0 * np.cos(0.05)))
-    assert off[0] < 1e-3
-    assert off[1] < 1e-5
+        errors.append(abs(height(trajectory.modes[-1].end) - 10.0 / 17.0 * np.cos(0.05)))
+    assert errors[0] < 1e-3
+    assert errors[1] < 1e-5
 
 
 def pressed(radius, force):
-    """A control that presses a point towards a centre at the origin."""
+    """Return a control that presses a point towards the origin."""
     return lambda t, q, v: -force / np.linalg.norm(q) * q
 
 
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.1, 1.0, 0.05)])
-def test_friction_stops_a_point_that_circles_a_sphere(axis):
-    """m v̇ = −μ (F − m v²/R): v = V tanh(artanh(v₀/V) − μ V t/R), V² = F R/m; twice around, over the poles."""
+def test_friction_stops_point_that_circles_sphere(axis):
+    """m v̇ = −μ (F − m v²/R) gives v = V tanh(artanh(v₀/V) − μ V t/R), V² = F R/m, for two turns."""
     m, radius, force, mu = 2.0, 0.5, 9.0, 0.05
     side, ahead, _ = towards(np.array(axis) / np.linalg.norm(axis))
     fastest = np.sqrt(force * radius / m)
@@ -125,8 +125,8 @@ def test_friction_stops_a_point_that_circles_a_sphere(axis):
 
 
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
-def test_a_ball_that_spins_takes_along_what_is_pressed_on_it(axis):
-    """v = V tanh(μ V t/R) up to the speed of the surface, V² = F R/m; then it goes around with the ball."""
+def test_spinning_sphere_drags_pressed_point(axis):
+    """v = V tanh(μ V t/R) with V² = F R/m up to the speed of the surface; then the point sticks to it."""
     m, radius, force, mu, spin = 2.0, 0.5, 9.0, 0.4, 2.0
     side, ahead, axis = towards(axis)
     surface = Sphere(radius=radius, angular_velocity=spin * axis)
@@ -143,13 +143,13 @@ def test_a_ball_that_spins_takes_along_what_is_pressed_on_it(axis):
     around = np.cos(turned) * side + np.sin(turned) * ahead
     assert trajectory.q[-1] == pytest.approx(radius * around, abs=1e-6)
     assert trajectory.v[-1] == pytest.approx(spin * radius * np.cross(axis, around), abs=1e-6)
-    # what the surface gives is what is gained and what is rubbed away
+    # the work of the surface is the gain of kinetic energy plus the energy dissipated
     gained = 0.5 * m * (spin * radius) ** 2
     assert trajectory.energy.surface[-1] == pytest.approx(m * (spin * radius) ** 2, rel=1e-6)
     assert trajectory.energy.friction[-1] == pytest.approx(-gained, rel=1e-6)
 
 
-def test_a_held_ball_rolls_around_another_through_its_lowest_point():
+def test_held_ball_rolls_around_another_through_its_lowest_point():
     r, R = 0.1, 0.4
     scene = Scene(ball(2.0, r), held=[Contact("center", Sphere(radius=R), radius=r)])
     q0 = [(R + r) * np.sin(1.0), 0.0, (R + r) * np.cos(1.0), *UP]
@@ -165,8 +165,8 @@ def test_a_held_ball_rolls_around_another_through_its_lowest_point():
 @pytest.mark.parametrize(
     ("radius", "depth"), [(1.0, 1e-3), (1.0, 1e-6), (1.0, 1e-9), (1e-3, 1e-3), (1e-3, 1e-6)]
 )
-def test_a_point_that_flies_past_a_sphere_hits_it_if_and_only_if_it_does(radius, depth):
-    """Steps are as long as the flight, so only the bound of the gap's curvature tells."""
+def test_grazing_flights_past_sphere(radius, depth):
+    """A step is as long as the flight, so the impact is found by the bound of the gap's curvature only."""
     model = weightless(slider())
     center = np.array([5.0, 0.2, -0.1])
     contact = Contact("point", Sphere(center, radius), restitution=1.0)
@@ -186,7 +186,7 @@ def test_a_point_that_flies_past_a_sphere_hits_it_if_and_only_if_it_does(radius,
         assert hit.v_after == pytest.approx(hit.v_before - 2.0 * hit.v_before @ n * n, abs=1e-11)
 
 
-def test_a_ball_meets_a_ball_beside_its_crown_at_the_time_that_falling_takes():
+def test_falling_ball_strikes_ball_off_its_top():
     r, R, aside, drop = 0.1, 0.3, 0.17, 1.0
     scene = Scene(
         ball(2.0, r), [Contact("center", Sphere(radius=R), friction=0.1, restitution=0.5, radius=r)]
@@ -199,8 +199,8 @@ def test_a_ball_meets_a_ball_beside_its_crown_at_the_time_that_falling_takes():
     assert hit.v_after[:3] @ n == pytest.approx(-0.5 * hit.v_before[:3] @ n, rel=1e-9)
 
 
-def test_balls_on_a_line_strike_one_after_the_other_and_keep_their_momentum():
-    """Two free balls, the sphere carried by one; both tumble, so the sphere turns with its body."""
+def test_collision_of_two_free_balls():
+    """The sphere is on one of the balls; both rotate, so the sphere rotates with its body."""
     model = pin.Model()
     for name, m in (("a", 2.0), ("b", 5.0)):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
@@ -226,8 +226,8 @@ def test_balls_on_a_line_strike_one_after_the_other_and_keep_their_momentum():
     assert after[0] - before[0] == pytest.approx(((after[0] - before[0]) @ n) * n, abs=1e-9)
 
 
-def test_a_huge_sphere_is_a_floor():
-    """A bouncing and sliding ball, on a plane and on a sphere of a hundred thousand kilometres."""
+def test_huge_sphere_is_a_floor():
+    """A ball bounces and slides on a plane and on a sphere with a radius of 10⁵ km."""
     ends = []
     for surface in (pinimpact.Plane(), Sphere((0.0, 0.0, -1e8), 1e8)):
         contact = Contact("center", surface, friction=0.3, restitution=0.5, radius=0.1)
@@ -239,7 +239,8 @@ def test_a_huge_sphere_is_a_floor():
     assert round_.q[-1] == pytest.approx(flat.q[-1], abs=1e-5)
 
 
-def test_what_a_sphere_may_not_do_in_a_scene():
+def test_moving_spheres():
+    """A translating sphere raises an error, a rotating one does not."""
     rising = Contact("center", Sphere(radius=0.5, velocity=(0, 0, 1.0)), radius=0.1)
     with pytest.raises(pinimpact.InputError, match=r"contacts: the sphere of .* moves at 1 m/s"):
         Scene(ball(), [rising])
@@ -247,15 +248,15 @@ def test_what_a_sphere_may_not_do_in_a_scene():
     assert "moves at center on sphere" in Scene(ball(), [spinning]).plan()["moving surfaces"].reason
 
 
-def test_a_sphere_out_of_reach_is_not_watched():
-    """A rod of 1 m about the origin, a sphere of 0.5 m: it reaches centres up to 1.5 m away."""
+def test_sphere_out_of_reach_is_not_monitored():
+    """A rod of 1 m reaches spheres of 0.5 m with centres up to 1.5 m away."""
     for distance, reached in ((1.5 + 1e-9, False), (1.5 - 1e-9, True)):
         center = distance * np.array([0.6, 0.0, -0.8])
         scene = Scene(pendulum(), [Contact("tip", Sphere(center, 0.5))])
         assert scene.plan().unreachable == (() if reached else ("tip on sphere",))
 
 
-def test_a_start_inside_a_sphere_is_refused():
+def test_start_inside_sphere_raises():
     scene = Scene(slider(), [Contact("point", Sphere(radius=1.0))])
     with pytest.raises(
         pinimpact.InputError, match=r"q0: the contact 'point on sphere' .* starts 0\.1 m below"

@@ -1,4 +1,4 @@
-"""How rows of a batch are shared among threads."""
+"""Distribution of the rows of a batch among threads."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pinimpact._compile.threads import in_threads
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 200])
 @pytest.mark.parametrize("count", [0, 1, 33, 1000, 12345])
-def test_every_row_is_solved_once_and_results_come_in_order(count, threads):
+def test_each_row_is_solved_once_with_results_in_order(count, threads):
     shares = in_threads(lambda rows: range(rows.start, rows.stop), count, threads)
     assert [row for share in shares for row in share] == list(range(count))
 
 
-def test_a_thread_that_is_slow_leaves_its_rows_to_the_others():
-    """The thread with the first rows waits until all others are solved, which nobody but the other can do."""
+def test_rows_of_slow_thread_are_solved_by_others():
+    """The thread with the first rows waits until the other thread has solved three quarters of all rows."""
     count, solved, rest = 1000, [], threading.Event()
 
     def solve(rows):
@@ -35,7 +35,7 @@ def test_a_thread_that_is_slow_leaves_its_rows_to_the_others():
 
 
 @pytest.mark.parametrize("bad", [0, 999])
-def test_an_error_is_raised_whichever_thread_meets_it(bad):
+def test_error_in_any_thread_is_raised(bad):
     def solve(rows):
         if rows.start <= bad < rows.stop:
             raise IndexError("row")
@@ -44,16 +44,16 @@ def test_an_error_is_raised_whichever_thread_meets_it(bad):
         in_threads(solve, 1000, 3)
 
 
-def test_threads_stay_and_are_no_more_than_cores():
+def test_threads_are_reused_and_no_more_than_cores():
     before = threading.active_count()
     for _ in range(20):
         in_threads(lambda rows: None, 1000, 50)
     assert threading.active_count() <= before + os.cpu_count()
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes do not fork here")
-def test_a_child_of_the_process_has_threads_of_its_own():
-    """The parent's are not there, and who waited for them would wait for ever."""
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_forked_process_starts_its_own_threads():
+    """Threads of the parent do not exist in the child, which would wait for them for ever."""
     other = threading.Event()
 
     def solve(rows):
@@ -64,7 +64,7 @@ def test_a_child_of_the_process_has_threads_of_its_own():
 
     in_threads(solve, 1000, 2)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+        warnings.simplefilter("ignore", DeprecationWarning)  # about forks with threads
         child = os.fork()
     if child == 0:
         signal.alarm(10)

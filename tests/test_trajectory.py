@@ -1,4 +1,4 @@
-"""What a run leaves: modes at any time, pickles, and files, also those written before names were stored."""
+"""Trajectories: modes at any time, pickles and files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MU, V0 = 0.3, 2.0
 
 
 def sliding_ball(**options):
-    """A ball that slides until 2 v₀ / (7 μ g), and rolls then."""
+    """Return scene, q and v of a ball that slides until 2 v₀/(7 μ g) and then rolls."""
     contact = Contact("center", Plane(), friction=MU, radius=0.1, name="ball")
     far = Contact("center", Plane(point=(0, 0, -5.0)), radius=0.1, name="cellar")
     return Scene(ball(), [contact, far], **options), [0, 0, 0.1, *UP], [V0, 0, 0, 0, 0, 0]
@@ -40,7 +40,7 @@ def test_modes_at_any_time(trajectory) -> None:
     assert trajectory.mode_at("ball", math.nextafter(change, 0.0)) == "slip"
 
 
-def test_the_mode_at_the_end_is_the_last_one(trajectory) -> None:
+def test_mode_at_the_end_is_the_last_one(trajectory) -> None:
     assert trajectory.mode_at("ball", 1.0) == "stick"
     halfway = simulate(*sliding_ball(), 0.5 * ROLLS)
     assert halfway.mode_at("ball", halfway.t[-1]) == "slip"
@@ -48,7 +48,7 @@ def test_the_mode_at_the_end_is_the_last_one(trajectory) -> None:
     assert flying.mode_at("x", 0.1) == "free"
 
 
-def test_what_never_closes_is_free(trajectory) -> None:
+def test_open_contacts_and_limits_are_free(trajectory) -> None:
     assert trajectory.mode_at("cellar", 0.5) == "free"
     assert trajectory.mode_at("body", 0.5) == "free"
     model = pendulum()
@@ -57,7 +57,7 @@ def test_what_never_closes_is_free(trajectory) -> None:
     assert [stopped.mode_at("hinge upper", t) for t in (0.05, 0.2, 0.5)] == ["free", "closed", "closed"]
 
 
-def test_unknown_names_and_times_outside_are_errors(trajectory) -> None:
+def test_unknown_names_and_times_outside_raise(trajectory) -> None:
     with pytest.raises(pinimpact.UnknownNameError, match=r"source: .*'bal'.*'ball'") as caught:
         trajectory.mode_at("bal", 0.5)
     assert caught.value.field == "source"
@@ -69,8 +69,8 @@ def test_unknown_names_and_times_outside_are_errors(trajectory) -> None:
         assert caught.value.field == "t"
 
 
-def test_times_off_the_ends_by_rounding_are_the_ends(trajectory) -> None:
-    end = 1.0 + 4e-16  # two roundings above 1
+def test_times_outside_by_rounding_errors_are_the_ends(trajectory) -> None:
+    end = 1.0 + 4e-16  # two ulps above 1
     assert end > 1.0
     np.testing.assert_array_equal(trajectory.at(end)[0], trajectory.q[-1])
     np.testing.assert_array_equal(trajectory.at(-1e-16)[0], trajectory.q[0])
@@ -114,7 +114,7 @@ def test_trajectories_can_be_pickled_and_saved(asked: bool, tmp_path) -> None:
     scene = Scene(model, [wall], limit_restitution=0.9, record=True)
     trajectory = simulate(scene, [0.0], [4.0], 0.5)
     assert {impact.source for impact in trajectory.impacts} == {"tip on plane", "hinge lower"}
-    if asked:  # solutions that have been made are not in the way
+    if asked:  # after solutions have been computed
         assert all(impact.solution.flags is not None for impact in trajectory.impacts)
     same(trajectory, pickle.loads(pickle.dumps(trajectory)))
     trajectory.save(tmp_path / "pendulum.npz")
@@ -124,7 +124,7 @@ def test_trajectories_can_be_pickled_and_saved(asked: bool, tmp_path) -> None:
     assert scales["hinge lower"] is None
 
 
-def test_what_a_failed_run_leaves_can_be_pickled() -> None:
+def test_partial_trajectory_of_failed_run_can_be_pickled() -> None:
     contact = Contact("center", Plane(), restitution=0.9, radius=0.1)
     with pytest.raises(SimulationError) as caught:
         simulate(Scene(ball(), [contact]), [0, 0, 0.2, *UP], np.zeros(6), 2.0, max_impacts=2)
@@ -134,7 +134,7 @@ def test_what_a_failed_run_leaves_can_be_pickled() -> None:
 
 
 def test_impacts_without_collision_can_be_pickled() -> None:
-    # Painlevé's rod, whose tip is driven in as it slides: the record is not of a `Hit`
+    # Painlevé's rod; the record of such an impact is not made from a `Hit`
     import pinocchio as pin
 
     from .scene_models import free_body

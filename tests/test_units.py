@@ -1,4 +1,4 @@
-"""The same scene in other units of length, mass and time: every answer is the same but for its units."""
+"""Motions are invariant under changes of the units of length, mass and time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def along(*xyz):
 
 
 def pendulum(length, gravity=0.0):
-    """A point of 1 kg at the end of a rod."""
+    """Return a pendulum with a point mass of 1 kg."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(
@@ -34,7 +34,10 @@ def pendulum(length, gravity=0.0):
 
 
 def arm_and_ball(m, kg, s):
-    """An arm with stops and dry friction, its tip on a floor and on a ball; state, and units of q and v."""
+    """Return a scene of an arm with limits and dry friction, and a ball; q, v and units of q and v.
+
+    There are contacts of the tip with floor and ball, and of the ball with the floor.
+    """
     model, joint = pin.Model(), 0
     model.gravity.linear = np.array([0.0, 0.0, -9.81]) * m / s**2
     for k, kind in enumerate((pin.JointModelRY, pin.JointModelRX, pin.JointModelRY)):
@@ -65,7 +68,7 @@ def arm_and_ball(m, kg, s):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("units", [(1000.0, 1000.0, 1000.0), (100.0, 1.0, 10.0)])
-def test_the_same_scene_in_other_units_moves_likewise(scheme, units):
+def test_motion_in_other_units(scheme, units):
     found = []
     for m, kg, s in ((1.0, 1.0, 1.0), units):
         scene, q0, v0, by_q, by_v = arm_and_ball(m, kg, s)
@@ -81,7 +84,7 @@ def test_the_same_scene_in_other_units_moves_likewise(scheme, units):
 
 
 def pile(m, kg, s):
-    """Three boxes above each other, turned a little, and units of q and v."""
+    """Return a scene of three tilted boxes above each other, q, v and units of q and v."""
     scene = boxes(3, 0.2 * m * np.array([1.0, 0.8, 0.5]), kg, restitution=0.2)
     scene.model.gravity.linear = np.array([0.0, 0.0, -9.81]) * m / s**2
     by_q, by_v = np.tile([m, m, m, 1, 1, 1, 1], 3), np.tile([m / s] * 3 + [1.0 / s] * 3, 3)
@@ -92,8 +95,8 @@ def pile(m, kg, s):
 
 @pytest.mark.parametrize("made", [arm_and_ball, pile])
 @pytest.mark.parametrize("units", [(2.0**-10, 1.0, 1.0), (2.0**10, 2.0**-30, 2.0**5)])
-def test_time_steps_are_the_same_to_the_bit_in_units_that_are_powers_of_two(made, units):
-    """So no norm or tolerance adds up what has different units."""
+def test_time_steps_are_identical_in_units_that_are_powers_of_two(made, units):
+    """Therefore no norm or tolerance adds quantities of different units."""
     found = []
     for m, kg, s in ((1.0, 1.0, 1.0), units):
         scene, q0, v0, by_q, by_v = made(m, kg, s)
@@ -107,16 +110,17 @@ def test_time_steps_are_the_same_to_the_bit_in_units_that_are_powers_of_two(made
     ("scheme", "alone"), [("event-driven", True), ("event-driven", False), ("time-stepping", True)]
 )
 @pytest.mark.parametrize("length", [0.01, 1.0, 100.0])
-def test_a_slow_bounce_at_a_stop_does_not_depend_on_the_size(scheme, length, alone):
-    """Lengths times L and times times √L under the same gravity is the same motion."""
+def test_slow_bounce_at_joint_limit_is_independent_of_size(scheme, length, alone):
+    """Under the same gravity, motions with lengths scaled by L and times by √L are similar."""
     model = pendulum(length)
     model.upperPositionLimit[0] = 0.1
     contacts = []
-    if not alone:  # at the same time a point arrives at the floor, which the point feels
+    if not alone:  # the tip reaches the floor at the same time
         model.addFrame(pin.Frame("tip", 1, 0, along(length, 0.0, 0.0), pin.FrameType.OP_FRAME))
         contacts = [Contact("tip", Plane((0.0, 0.0, -length * math.sin(0.1))), restitution=0.5)]
     s = math.sqrt(length)
-    for speed in (2e-3, 4e-4):  # of the end, in parts of √L; resting is 3.1e-4, what bounces half of it
+    # speeds of the tip over √L; the resting speed is 3.1e-4, and rebounds have half of the speed
+    for speed in (2e-3, 4e-4):
         scene = Scene(model, contacts, limit_restitution=0.5)
         start = [0.1 - 2.5e-3 * speed], [speed / s]
         steps = {"dt": 1e-3 * s} if scheme == "time-stepping" else {}
@@ -126,9 +130,9 @@ def test_a_slow_bounce_at_a_stop_does_not_depend_on_the_size(scheme, length, alo
 
 
 @pytest.mark.parametrize("length", [0.01, 1.0, 100.0])
-def test_a_joint_with_dry_friction_sticks_at_the_speed_of_what_it_moves(length):
+def test_sticking_speed_of_joint_is_relative_to_its_radius_of_gyration(length):
     model = pendulum(length)
-    model.friction = np.array([1e-9 * length**2])  # it would slide for long
+    model.friction = np.array([1e-9 * length**2])  # deceleration is negligible
     stick = 1e-5 * math.sqrt(9.80665 * length)
     for speed in (0.5 * stick, 2.0 * stick):
         trajectory = pinimpact.simulate(Scene(model), [0.0], [speed / length], 1e-3 * math.sqrt(length))
@@ -136,8 +140,8 @@ def test_a_joint_with_dry_friction_sticks_at_the_speed_of_what_it_moves(length):
 
 
 @pytest.mark.parametrize("spin", [0.0, 1e3])
-def test_a_slow_arrival_is_an_impact_beside_a_small_wheel_that_spins_fast(spin):
-    """At 5 µm/s, of which a wheel of 1 mm at 1 m/s leaves 10 nm/s unknown."""
+def test_slow_impact_next_to_fast_small_wheel(spin):
+    """The approach at 5 µm/s is above the error of 10 nm/s due to a wheel of 1 mm with 1 m/s at its rim."""
     model = pin.Model()
     for kind, radius in ((pin.JointModelPZ(), 0.1), (pin.JointModelRZ(), 1e-3)):
         joint = model.addJoint(0, kind, pin.SE3.Identity(), kind.shortname())
@@ -149,36 +153,36 @@ def test_a_slow_arrival_is_an_impact_beside_a_small_wheel_that_spins_fast(spin):
     assert [hit.source for hit in trajectory.impacts] == ["tip on plane"]
 
 
-def test_what_turns_slowly_far_out_does_not_rest_in_time_steps():
+def test_slow_rotation_of_distant_mass_is_not_rest_in_time_steps():
     model = pin.Model()
     slide = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")
     model.appendBodyToJoint(slide, pin.Inertia.FromSphere(1.0, 1.0), pin.SE3.Identity())
     turn = model.addJoint(slide, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
     model.appendBodyToJoint(turn, pin.Inertia(1.0, np.array([100.0, 0, 0]), np.eye(3)), pin.SE3.Identity())
     unbounded(model)
-    model.lowerPositionLimit[0] = 0.0  # on which it lies
+    model.lowerPositionLimit[0] = 0.0  # supports the weight
     trajectory = pinimpact.simulate(
         Scene(model), [0.0, 0.0], [0.0, 1e-8], 1.0, scheme="time-stepping", dt=1e-2
     )
     assert trajectory.q[-1, 1] == pytest.approx(1e-8, rel=1e-9)  # 1 µm on a circle of 100 m
 
 
-def test_metres_per_unit_are_1_where_joints_slide_and_radii_of_gyration_where_they_turn():
+def test_metres_per_unit_of_prismatic_and_revolute_joints():
     model, joint = pin.Model(), 0
     helix, slant = pin.JointModelHZ(0.2), pin.JointModelPrismaticUnaligned(1.0, 2.0, 2.0)
-    rod = pin.Inertia(3.0, np.array([0.5, 0.0, 0.0]), np.diag([0.0, 0.25, 0.25]))  # of 1 m, along x
+    rod = pin.Inertia(3.0, np.array([0.5, 0.0, 0.0]), np.diag([0.0, 0.25, 0.25]))  # length 1 m, along x
     for kind in (pin.JointModelPX(), helix, slant, pin.JointModelRX(), pin.JointModelRZ()):
         joint = model.addJoint(joint, kind, along(0.0, 0.0, 0.0), f"j{joint}")
     model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
     radii = gyration(model)
     assert radii[4] == pytest.approx(math.sqrt(1.0 / 3.0), rel=1e-14)
-    assert radii[3] == pytest.approx(math.sqrt(1.0 / 3.0), rel=1e-14)  # where the joint after it turns it out
+    assert radii[3] == pytest.approx(math.sqrt(1.0 / 3.0), rel=1e-14)  # for an angle of the next joint
     assert metres_per_unit(model, radii, 7.0)[:3] == pytest.approx([1.0, math.hypot(0.2, radii[1]), 1.0])
     assert metres_per_unit(model, np.zeros(5), 7.0)[3:] == pytest.approx([7.0, 7.0])
 
 
-def test_radii_bound_those_of_every_configuration():
-    """√(M_ii/m) of joints that turn, over random configurations of an arm; of the last joint it is that."""
+def test_radii_of_gyration_bound_those_at_any_configuration():
+    """Compare with √(M_ii/m) at random configurations of an arm, where equality holds for the last joint."""
     model = pin.buildSampleModelManipulator()
     radii, data = gyration(model), model.createData()
     masses = [pin.computeSubtreeMasses(model, data) or data.mass[j] for j in range(1, model.njoints)]
