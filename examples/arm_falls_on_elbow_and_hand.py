@@ -17,7 +17,7 @@ HAND = ("forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 
 
 def scene() -> pinimpact.Scene:
-    """Return a UR5 that stands on a floor beside a block."""
+    """Return a scene of a UR5 on a floor, next to a block."""
     robot = pinimpact.load_robot("ur5")
     floor = pinimpact.Plane(name="floor")
     block = pinimpact.Box(size=(0.2, 0.4, 0.1), center=(0.83, 0.12, 0.05), name="block")

@@ -23,7 +23,7 @@ def cradle(policy: str, count: int = 5, restitution: float = 0.97) -> np.ndarray
 
 
 def rack() -> np.ndarray:
-    """Return the positions (16, 2) of the cue ball and of fifteen balls in a triangle, in diameters."""
+    """Return the positions (16, 2) of the cue ball and of fifteen balls in a triangle, in ball diameters."""
     rows = [(np.sqrt(0.75) * k, j - 0.5 * k) for k in range(5) for j in range(k + 1)]
     return np.array([(-1.0, 0.0), *rows])
 
@@ -31,7 +31,7 @@ def rack() -> np.ndarray:
 def strike(places: np.ndarray, side: float) -> tuple[np.ndarray, pinimpact.ManySolution]:
     """Return the velocities (16, 2) after the cue ball strikes at an angle, and the solution.
 
-    A ball has a mass and a diameter of one, and slides and turns on the table, (vx, vy, ω).
+    Balls have unit mass and diameter; their velocities on the table are (vx, vy, ω).
     """
     near = [(i, j) for j in range(16) for i in range(j) if np.linalg.norm(places[i] - places[j]) < 1 + 1e-9]
     jacobian = np.zeros((3 * len(near), 48))
@@ -40,7 +40,7 @@ def strike(places: np.ndarray, side: float) -> tuple[np.ndarray, pinimpact.ManyS
         for ball, sign in ((i, -1.0), (j, 1.0)):
             jacobian[3 * k + 2, 3 * ball : 3 * ball + 2] = sign * normal
             jacobian[3 * k, 3 * ball : 3 * ball + 2] = sign * np.array([-normal[1], normal[0]])
-            jacobian[3 * k, 3 * ball + 2] = -0.5  # the surfaces move in opposite directions
+            jacobian[3 * k, 3 * ball + 2] = -0.5  # equal spins move the surfaces in opposite directions
     inverse = np.tile([1.0, 1.0, 10.0], 16)  # 1/m and 1/(2/5 m r²)
     start = np.zeros(48)
     start[:2] = np.cos(side), np.sin(side)

@@ -34,12 +34,12 @@ def ball():
 
 
 def play(v0, friction):
-    """Return where balls bounce (n, 3), the tops of their paths after it (n, 3), and when they get there."""
+    """Return positions of the bounces (n, 3), tops of the paths after them (n, 3), and times of the tops."""
     model, contact = ball()
     speed = torch.sqrt(v0[:, 2:] ** 2 + 2 * GRAVITY * (START[2] - RADIUS))
     down, time = torch.cat([v0[:, :2], -speed], dim=1), (v0[:, 2:] + speed) / GRAVITY
     bounce = torch.tensor(START) + (v0 + down) / 2 * time
-    q = torch.tensor([0, 0, RADIUS, 0, 0, 0, 1]).double()  # neither place nor orientation matters
+    q = torch.tensor([0, 0, RADIUS, 0, 0, 0, 1]).double()  # position and orientation do not matter
     v = torch.cat([down, torch.tensor(SPIN).expand_as(down)], dim=1)
     after = impact(model, model.createData(), q, v, contact, friction)[:, :3]
     rise = after[:, 2:] / GRAVITY
@@ -58,20 +58,20 @@ def aim(friction):
 
 
 def closed_form(friction):
-    """Return the same. The slip before the bounce is that of a ball that slips or that of one that rolls."""
+    """Return start velocities in closed form; the ball slips through the bounce, or rolls at its end."""
     up = np.sqrt(2 * GRAVITY * (TARGET[2] - RADIUS))
     down = up / RESTITUTION
     start = -np.sqrt(down**2 - 2 * GRAVITY * (START[2] - RADIUS))
     time, rise = (start + down + up) / GRAVITY, up / GRAVITY
     surface = RADIUS * np.array([-SPIN[1], SPIN[0]])  # velocity of the lowest point due to the spin
-    path = (TARGET - START)[:2] + surface * time  # of the slip, were it not for friction
+    path = (TARGET - START)[:2] + surface * time  # of the contact point without friction
     far = np.linalg.norm(path)
     slip = np.minimum((far + friction * (down + up) * rise) / time, far / (time - 2 / 7 * rise))
     return np.column_stack([slip[:, None] * path / far - surface, np.full(len(friction), start)])
 
 
 def main():
-    """Print how well passes reach the target and plot them."""
+    """Print the errors of passes, and plot them."""
     found, exact = aim(FRICTION), closed_form(FRICTION)
     bounces, _, times = play(found, torch.tensor(FRICTION))
     print(f"largest difference from the closed form: {np.abs(found.numpy() - exact).max():.0e} m/s")

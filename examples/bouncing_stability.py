@@ -2,10 +2,10 @@
 
 python examples/bouncing_stability.py
 
-A foot bounces on the top of a round stone without loss, held sideways by a spring. Without the spring each
-bounce takes it further off the top. The multipliers of a period, from apex to apex, are the eigenvalues of
-`trajectory.sensitivity`. Their product is 1, so the motion is stable if the trace is between -2 and 2. The
-plot, with the multipliers in closed form, is bouncing_stability.png.
+A foot bounces elastically on the top of a round stone, held sideways by a spring. Without the spring each
+bounce increases its distance from the top. The multipliers of a period, from apex to apex, are the
+eigenvalues of `trajectory.sensitivity`. Their product is 1, so the motion is stable if the trace is between
+-2 and 2. The plot, with the multipliers in closed form, is bouncing_stability.png.
 """
 
 import matplotlib.pyplot as plt
@@ -41,7 +41,7 @@ def trace(stiffness):
 
 
 def closed_form(stiffness):
-    """Return the same, of swing and bounce: 2 cos ωT + 2v/R sin ωT/ω."""
+    """Return the trace in closed form, 2 cos ωT + 2v/R sin ωT/ω."""
     w = np.sqrt(stiffness)
     return 2 * np.cos(w * PERIOD) + 2 * SPEED / STONE * PERIOD * np.sinc(w * PERIOD / np.pi)
 
@@ -53,7 +53,7 @@ def multiplier(trace):
 
 
 def main():
-    """Print where the motion is stable and plot the multipliers."""
+    """Print the range of stable stiffnesses, and plot the multipliers."""
     grid = np.linspace(0.0, 300.0, 61)
     found, exact = (np.array([of(k) for k in grid]) for of in (trace, closed_form))
     print(f"largest difference of the traces from the closed form: {np.abs(found - exact).max():.0e}")

@@ -1,4 +1,4 @@
-"""The three restitution laws on one contact: energy and bounce over e, with slip that turns.
+"""Compare the three restitution laws: energy and rebound as functions of e, with slip that turns.
 
 python examples/comparing_laws.py
 
@@ -23,7 +23,7 @@ E_GRID = np.linspace(0.0, 1.0, 101)
 
 
 def sweep(robot, frame, q, v, friction, law):
-    """Return the energy after over that before, and the normal velocity after, for every e."""
+    """Return the ratio of energies after and before, and the normal velocity after, for each e."""
     model, data = robot.model, robot.data
     contact = pinimpact.Contact(frame, pinimpact.Plane(), friction, law=law)
     hits = pinimpact.impacts(model, data, q, v, contact, restitution=E_GRID)
@@ -33,7 +33,7 @@ def sweep(robot, frame, q, v, friction, law):
 
 
 def main():
-    """Print the energies at e = 0.5 and plot all."""
+    """Print the energies at e = 0.5, and plot energies and velocities."""
     figure, rows = plt.subplots(2, 2, sharex=True, figsize=(9, 6.5), layout="constrained")
     for row, (title, (name, frame, q, v, friction)) in zip(rows, CASES.items(), strict=True):
         robot = pinimpact.load_robot(name)

@@ -17,7 +17,7 @@ GOAL_VELOCITY = np.array([0.05, 0.0, -0.15])  # of the tool [m/s]
 
 
 def command(model, data, q, v, frame):
-    """Return torques that move the tool at the goal's velocity, by damped inverse kinematics."""
+    """Return torques that move the tool at the desired velocity, by damped inverse kinematics."""
     J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
     twist = np.concatenate([GOAL_VELOCITY, np.zeros(3)])
     wanted = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), twist)

@@ -1,9 +1,9 @@
-"""Which face a die shows: a fair one, and one whose centre of mass is off its middle.
+"""Frequencies of the faces of a fair die, and of one whose centre of mass is not at its centre.
 
 python examples/die.py
 
 Each toss starts from a random orientation, with random velocities. The faces of the fair die have equal
-frequencies within their intervals, of 99 % each. The plot is die.png.
+frequencies within confidence intervals of 99 %. The plot is die.png.
 """
 
 import itertools
@@ -29,7 +29,7 @@ START = np.array([0, 0, 0.04, 0, 0, 0, 1])
 
 
 class Turned:
-    """A distribution of tangents at the start: no displacement, a rotation without any preference."""
+    """Distribution of changes of the initial configuration: uniform rotations without displacement."""
 
     def rvs(self, random_state):
         turn = Rotation.random(rng=random_state)
@@ -69,7 +69,7 @@ def toss(scene, samples, seed=0, executor=None):
 
 
 def main(samples=600):
-    """Print and plot how often each face is on top."""
+    """Print and plot the frequencies of the faces on top."""
     _, axes = plt.subplots(figsize=(7, 4), layout="constrained")
     for shift, (label, z) in enumerate({"fair": 0.0, "heavy at -z": -0.25 * HALF}.items()):
         found = toss(die((0.0, 0.0, z)), samples, seed=1)

@@ -1,11 +1,12 @@
-"""A Panda strikes a table as fast as the limits of its joints permit, whatever the friction.
+"""A Panda strikes a table as fast as the limits of its joints permit, for a range of friction coefficients.
 
 python examples/fast_strike.py  (needs a solver: pip install 'qpsolvers[daqp]')
 
-The hand moves along a slanted line. In each tick a quadratic program finds the joint accelerations with the
-largest speed along the line for which torques and joint velocities stay within their limits. If `careful`,
-so do the velocities after an impact at once, by `impact_rows` at both ends of an interval of friction
-coefficients. Impacts at coefficients between them show that this suffices. The plot is fast_strike.png.
+The hand moves along a slanted line. In each control period a quadratic program finds the joint accelerations
+with the largest speed along the line for which torques and joint velocities are within their limits. If
+`careful`, the velocities after an immediate impact are so too, by `impact_rows` at both ends of an interval
+of friction coefficients. Impacts at coefficients between them show that this suffices. The plot is
+fast_strike.png.
 """
 
 from dataclasses import replace
@@ -17,8 +18,8 @@ from qpsolvers import solve_qp
 
 import pinimpact
 
-DT = 1e-3  # a tick [s]
-MARGIN = 0.99  # of the limits: the rows are linear, and at the configuration before the tick
+DT = 1e-3  # control period [s]
+MARGIN = 0.99  # of the limits, as the rows are linear and at the configuration before the period
 LEAST, MOST = 0.1, 0.8  # friction coefficients
 ALONG = np.array([0.6, 0.0, -0.8])
 
@@ -43,7 +44,7 @@ def rows(model, data, q, v, hand, careful):
 
 
 def strike(careful):
-    """Return the speed of the hand in each tick, and q and v at the table."""
+    """Return the speed of the hand in each control period, and q and v at the table."""
     model, q, hand = panda()
     data, frame = model.createData(), model.getFrameId(hand.frame)
     jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
@@ -53,7 +54,7 @@ def strike(careful):
         G, h = rows(model, data, q, v, hand, careful)
         jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
         speeds.append(ALONG @ jacobian @ v)
-        # a and the speed s: J (v + a dt) = s along, with s as close to 10 m/s as possible
+        # unknowns a and s with J (v + a dt) = s along, and s as close to 10 m/s as possible
         P, p = np.diag([1e-6] * 7 + [1.0]), np.array([0.0] * 7 + [-10.0])
         line = np.column_stack([DT * jacobian, -ALONG])
         found = solve_qp(P, p, np.pad(G, ((0, 0), (0, 1))), h, line, -jacobian @ v, solver="daqp")
@@ -63,7 +64,7 @@ def strike(careful):
 
 
 def after(q, v, frictions):
-    """Return the joint velocities after the impact in units of their limits, (n, 7)."""
+    """Return the joint velocities after the impact relative to their limits, (n, 7)."""
     model, _, hand = panda()
     data = model.createData()
     hits = [pinimpact.impact(model, data, q, v, replace(hand, friction=mu)) for mu in frictions]

@@ -1,8 +1,7 @@
 """A quadruped lands flat on four feet, and with a tilt of 0.001 rad.
 
-Its motors hold the legs. The flat landing is one impact at four contacts. In the tilted landing the feet
-touch one after another, half a millisecond apart: these are separate impacts, in which the feet on the ground
-take part.
+Motors hold the legs. The flat landing is one impact at four contacts. In the tilted landing the feet land one
+after another, half a millisecond apart, in separate impacts, in which the feet on the ground take part.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ def draw(ax: plt.Axes, motion: pinimpact.Trajectory) -> None:
 
 
 def main() -> None:
-    """Print both landings, and plot them side by side."""
+    """Print and plot both landings."""
     figure, axes = plt.subplots(2, 2, figsize=(9, 6), sharex=True, sharey=True)
     for row, policy in zip(axes, ("propagate", "sequence"), strict=True):
         for ax, (name, roll) in zip(row, (("flat", 0.0), ("rolled by 0.001 rad", 1e-3)), strict=True):

@@ -1,8 +1,8 @@
-"""An environment as in Gymnasium around a `Stepper`, with a random policy.
+"""An environment in the style of Gymnasium around a `Stepper`, with a random policy.
 
 python examples/gym_style_loop.py
 
-It does not need Gymnasium: `reset` and `step` return the values of Gymnasium's, so a subclass of
+It does not need Gymnasium: `reset` and `step` return the same values as there, so a subclass of
 ``gymnasium.Env`` only adds its spaces. Impacts, slip and lift-off are located at their exact times within
 the steps.
 """
@@ -16,9 +16,9 @@ FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 
 class Hop:
-    """A quadruped that is rewarded for jumping; the action is added to its posture [rad], in [-1, 1]."""
+    """A quadruped rewarded for jumping; half of the action, in [-1, 1], is added to its posture [rad]."""
 
-    period, horizon = 0.02, 50  # of the policy [s], and their number
+    period, horizon = 0.02, 50  # period of the policy [s], number of periods
 
     def __init__(self):
         robot = pinimpact.load_robot("solo12")
@@ -65,7 +65,7 @@ class Hop:
 
 
 def main():
-    """Let a random policy act for one episode."""
+    """Run a random policy for one episode."""
     environment, random = Hop(), np.random.default_rng(0)
     environment.reset(seed=0)
     total, impacts, terminated, truncated = 0.0, 0, False, False

@@ -1,9 +1,9 @@
-"""How sure is a robot's velocity after an impact if friction and restitution are known only roughly?
+"""Uncertainty of a robot's velocity after an impact if friction and restitution are uncertain.
 
 python examples/how_sure.py
 
-A Panda strikes a table with its hand: friction is 0.4 ± 0.1, restitution 0.5 ± 0.1. Most of what is uncertain
-after the impact is due to one of them, as Sobol' indices show. The plot is how_sure.png.
+A Panda strikes a table with its hand: friction is 0.4 ± 0.1, restitution 0.5 ± 0.1. Sobol' indices show which
+of the two causes the variance of velocities. The plot is how_sure.png.
 """
 
 import matplotlib.pyplot as plt

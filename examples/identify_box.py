@@ -1,4 +1,4 @@
-"""A tossed box identified: where its mass is, its friction and restitution, and how sure that is.
+"""Identify a tossed box: its centre of mass and inertia, friction and restitution, with intervals.
 
 python examples/identify_box.py
 
@@ -37,7 +37,7 @@ def box(centre, inertia, friction=0.0, restitution=0.0, sliding=None):
 
 
 def record(scene, rng, group, duration=0.7):
-    """Return the recording of a toss."""
+    """Return the noisy recording of a simulated toss."""
     turn = Rotation.random(rng=rng)
     v0 = np.concatenate([turn.inv().apply([*rng.normal(size=2), -1.0]), 5.0 * rng.normal(size=3)])
     run = pinimpact.simulate(scene, np.array([0, 0, 0.25, *turn.as_quat()]), v0, duration, rtol=1e-7)
@@ -65,7 +65,7 @@ def main(tosses=40):
     known, held_out = motions[:-10], motions[-10:]
 
     guess = box(np.zeros(3), np.diag([8e-4, 7e-4, 5e-4]))
-    for _ in range(4):  # flights depend on the centre of mass: each time a quarter of its error remains
+    for _ in range(4):  # flights depend on the centre of mass; each iteration divides its error by four
         found = studies.impacts(guess, known)
         body = studies.identify_body(found, free=("com", "inertia"))
         guess = body.apply(guess)

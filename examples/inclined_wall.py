@@ -1,8 +1,8 @@
-"""A robot of your own strikes an inclined wall: the impact over the tilt of the wall.
+"""Your robot strikes an inclined wall: the impact as a function of the tilt of the wall.
 
 python examples/inclined_wall.py [robot.urdf [tip_frame]]
 
-Without a file it is the arm beside this script. Posture and velocity are the same for all tilts; the plot
+The default is the arm next to this script. Posture and velocity are the same for all tilts; the plot
 inclined_wall.png shows impulse, work and contact modes.
 """
 

@@ -1,11 +1,11 @@
-"""A quadruped jumps and lands where asked: torques by Newton's method, with derivatives through impacts.
+"""A quadruped jumps to a target: torques by Newton's method, with derivatives through impacts.
 
 python examples/jump_to_place.py
 
-Constant torques push for 0.1 s, then a PD control holds the joints in a landing pose. Sought are five torques
-with which the trunk is level at an asked place, first at a time in flight, then at one at which all feet
-have struck the floor and bounce. The legs differ a little in that pose, since derivatives are those of
-impacts of one foot while others are open. The jump is replayed by `simulate`. The plot is jump_to_place.png.
+Constant torques push for 0.1 s, then a PD control holds the joints in a landing pose. Newton's method finds
+five torques for which the trunk is level at a target position, first at a time in flight, then at a time at
+which all feet have bounced on the floor. The legs differ slightly in that pose, so that the feet land one
+after the other. The jump is repeated by `simulate`. The plot is jump_to_place.png.
 """
 
 import matplotlib.pyplot as plt
@@ -15,7 +15,7 @@ import pinocchio as pin
 import pinimpact
 
 DT, PUSH, KP, KD = 4e-3, 0.1, 4.0, 0.1  # period of the control, duration of the push [s], gains
-ASKED = ((0.3, (0.087, 0.044, 0.28)), (0.344, (0.1, 0.05, 0.2385)))  # times [s] and places of the trunk [m]
+ASKED = ((0.3, (0.087, 0.044, 0.28)), (0.344, (0.1, 0.05, 0.2385)))  # times [s], positions of the trunk [m]
 LEGS = np.array([0.700, 0.705, 0.710, 0.715])  # in the landing pose [rad]
 SIDEWAYS, HIPS, KNEES = (np.tile(axis, 4) for axis in np.eye(3))
 FRONT, LEFT = np.repeat([1, 1, -1, -1], 3), np.repeat([1, -1, 1, -1], 3)
@@ -26,7 +26,7 @@ robot = pinimpact.load_robot("solo12")
 feet = [pinimpact.Contact(name, pinimpact.Plane(), friction=0.8, restitution=0.7, name=name)
         for name in ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")]  # fmt: skip
 q0, v0 = pin.neutral(robot.model), np.zeros(18)
-q0[7:] = np.tile([0, 1.1, -2.2], 4)  # it crouches
+q0[7:] = np.tile([0, 1.1, -2.2], 4)  # crouching
 q0[2] = -min(foot.gap(robot.model, robot.data, q0) for foot in feet)
 
 
@@ -42,7 +42,7 @@ def control(push, t, q, v):
 
 
 def jump(push, end):
-    """Return place (3,) and tilt (2,) of the trunk at the end, and the derivatives (5, 5) by the torques."""
+    """Return final position (3,) and tilt (2,) of the trunk, and their derivatives (5, 5) by the torques."""
     stepper = pinimpact.Stepper(pinimpact.Scene(robot, feet), q0, v0, rtol=1e-9)
     slope = np.zeros((36, 5))
     for k in range(round(end / DT)):
@@ -56,15 +56,15 @@ def jump(push, end):
 
 
 def aim(push=GUESS):
-    """Return the torques, and how far off the trunk is in each iteration, in flight and after impacts."""
+    """Return the torques, and the errors of the trunk in each iteration, in flight and after impacts."""
     errors = []
     for end, place in ASKED:
         errors.append([])
         for _ in range(6):
             found, slope = jump(push, end)
-            off = found - [*place, 0, 0]
-            errors[-1].append(np.abs(off).max())
-            push = push - np.linalg.solve(slope, off)
+            error = found - [*place, 0, 0]
+            errors[-1].append(np.abs(error).max())
+            push = push - np.linalg.solve(slope, error)
     return push, errors
 
 

@@ -40,21 +40,21 @@ def kick() -> tuple[np.ndarray, pinimpact.ManyHit, pinimpact.Hit]:
 def main() -> None:
     """Print the impulse of each foot, and plot the impulses."""
     _, free, held = kick()
-    glued = held.held_impulses
+    bilateral = held.held_impulses
     print(
         f"trunk: {free.impulses_world[0].round(3)} N s with free feet, {held.impulse_world.round(3)} N s held"
     )
     for i, foot in enumerate(FEET, start=1):
         speed = free.solution.velocity[i]
         does = "lifts" if speed[2] > 1e-9 else "slips" if np.hypot(*speed[:2]) > 1e-9 else "sticks"
-        alone, glue = free.impulses_world[i].round(3), glued[i - 1].round(3)
-        pulls = ", which pulls" if glue[2] < 0 else ""
-        print(f"{foot}: impulse {alone} N s if free, and {does}; {glue} N s if held{pulls}")
+        unilateral, hold = free.impulses_world[i].round(3), bilateral[i - 1].round(3)
+        pulls = ", which pulls" if hold[2] < 0 else ""
+        print(f"{foot}: impulse {unilateral} N s if free, and {does}; {hold} N s if held{pulls}")
     print(f"base: {free.v[:3].round(3)} m/s with free feet, {held.v[:3].round(3) + 0.0} m/s held")
     ax = plt.figure(figsize=(6, 3.5)).add_subplot()
     places = np.arange(4)
     ax.bar(places - 0.2, free.impulses_world[1:, 2], 0.4, label="free to lift and slip")
-    ax.bar(places + 0.2, [p[2] for p in glued], 0.4, label="held")
+    ax.bar(places + 0.2, [p[2] for p in bilateral], 0.4, label="held")
     ax.axhline(0.0, color="0.3", lw=0.8)
     ax.set(xticks=places, xticklabels=FEET, ylabel="vertical impulse on the foot [N s]")
     ax.legend()

@@ -22,7 +22,7 @@ plots = pinimpact.visual.plots
 
 
 def rod_strikes() -> pinimpact.Hit:
-    """The rod of Zhao and Liu's figure 7: slip stops, and resumes across its first direction."""
+    """Return the impact of Zhao and Liu's figure 7: slip stops, and resumes across its first direction."""
     robot = pinimpact.load_robot("rod")
     tip = pinimpact.Contact("tip", pinimpact.Plane(), friction=0.7, restitution=0.8)
     velocity = [0.2, 0.2 * math.sqrt(3), -2, 0, 0]
@@ -30,7 +30,7 @@ def rod_strikes() -> pinimpact.Hit:
 
 
 def panda_strikes() -> pinimpact.Hit:
-    """The impact of README.md."""
+    """Return the impact of README.md."""
     robot = pinimpact.load_robot("panda")
     table = pinimpact.Plane(point=(0, 0, 0.6))
     hand = pinimpact.Contact("panda_hand_tcp", table, friction=0.3, restitution=0.5)
@@ -39,13 +39,13 @@ def panda_strikes() -> pinimpact.Hit:
 
 
 def planar_jam() -> pinimpact.ImpactProblem:
-    """A planar impact in Routh's sense: the normal acceleration is negative until slip stops."""
+    """Return a planar impact whose normal acceleration is negative until slip stops."""
     delassus = np.array([[1.2, 0.0, 0.9], [0.0, 1.0, 0.0], [0.9, 0.0, 1.0]])
     return pinimpact.ImpactProblem(delassus, (0.8, 0.0, -1.0), friction=1.3, restitution=0.6)
 
 
 def falling_rod() -> tuple[Any, pinimpact.Trajectory]:
-    """A rod that falls, bounces, topples and slides."""
+    """Return the motion of a rod that falls, bounces, topples and slides."""
     robot = pinimpact.load_robot("rod")
     floor = pinimpact.Plane()
     tip = pinimpact.Contact("tip", floor, friction=0.4, restitution=0.4, name="tip")

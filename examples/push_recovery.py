@@ -28,7 +28,7 @@ def stand(model, data):
 
 
 def simulate_push():
-    """Step through the motion, as a control loop would; return its trajectory."""
+    """Return the trajectory of a motion advanced step by step, as in a control loop."""
     robot = pinimpact.load_robot("solo12")
     model, data = robot.model, robot.model.createData()
     ground = pinimpact.Plane()
@@ -46,7 +46,7 @@ def simulate_push():
 
 
 def main(out: Path) -> None:
-    """Print when each foot slipped, and write the figure."""
+    """Print the intervals of slip of each foot, and write the figure."""
     trajectory = simulate_push()
     for interval in trajectory.modes:
         if interval.mode == "slip" and interval.end - interval.start > 2e-3:

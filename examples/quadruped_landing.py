@@ -1,4 +1,4 @@
-"""A quadruped lands on its feet; the contact forces from touchdown to standing.
+"""A quadruped lands on its feet: contact forces from touchdown to standing.
 
 python examples/quadruped_landing.py
 

@@ -3,7 +3,7 @@
 python examples/two_robots.py
 
 Both robots are in one Pinocchio model; the plate is a `Plane` whose `body` is a frame of the Panda. The
-impulses on the robots are opposite, and the energy that both lose is the work of the contact.
+impulses on the robots are opposite, and the change of their energy is the work of the contact.
 """
 
 import numpy as np

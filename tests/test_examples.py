@@ -1,4 +1,4 @@
-"""The examples run and show what they should."""
+"""Examples and notebooks: they run, with the expected output."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def example(name):
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
-def test_an_example_is_short_and_begins_at_main(script: Path) -> None:
+def test_example_is_short_and_has_main(script: Path) -> None:
     text = script.read_text(encoding="utf-8")
     tree = ast.parse(text)
     assert len(text.splitlines()) < 100
@@ -43,20 +43,20 @@ def test_an_example_is_short_and_begins_at_main(script: Path) -> None:
 
 
 def printed_by(name: str, tmp_path: Path, monkeypatch, capsys) -> str:
-    """Run an example in an empty folder and return what it prints."""
+    """Run an example in an empty folder and return its output."""
     monkeypatch.chdir(tmp_path)
     example(name).main()
     return capsys.readouterr().out
 
 
-def test_the_arm_sticks_to_an_inclined_wall_over_a_range_of_tilts(tmp_path, monkeypatch, capsys) -> None:
+def test_arm_sticks_to_inclined_wall_over_a_range_of_tilts(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("inclined_wall", tmp_path, monkeypatch, capsys)
     assert "slips, then sticks" in out
     assert "sticks, then slips" in out
     assert (tmp_path / "inclined_wall.png").is_file()
 
 
-def test_an_inclined_wall_is_struck_by_a_robot_of_ones_own(tmp_path, monkeypatch) -> None:
+def test_inclined_wall_with_given_robot(tmp_path, monkeypatch) -> None:
     wall = example("inclined_wall")
     robot = load_robot(EXAMPLES.parent / "models" / "two_link_arm.urdf")
     frame = robot.model.frames[robot.model.nframes - 1].name
@@ -67,7 +67,7 @@ def test_an_inclined_wall_is_struck_by_a_robot_of_ones_own(tmp_path, monkeypatch
 
 
 @pytest.mark.slow
-def test_an_arm_falls_on_its_elbow_and_hand(tmp_path, monkeypatch, capsys) -> None:
+def test_arm_falls_on_elbow_and_hand(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("arm_falls_on_elbow_and_hand", tmp_path, monkeypatch, capsys)
     found = [line.split(" s  ")[1] for line in out.splitlines() if " s  " in line]
     assert "upper_arm_link_0 on floor" in found
@@ -77,7 +77,7 @@ def test_an_arm_falls_on_its_elbow_and_hand(tmp_path, monkeypatch, capsys) -> No
 
 
 @pytest.mark.slow
-def test_a_landed_quadruped_bears_its_weight(tmp_path, monkeypatch, capsys) -> None:
+def test_forces_of_landed_quadruped_equal_its_weight(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("quadruped_landing", tmp_path, monkeypatch, capsys)
     weight = 9.81 * pin.computeTotalMass(load_robot("solo12").model)
     assert out.count("N in the end") == 4
@@ -86,8 +86,8 @@ def test_a_landed_quadruped_bears_its_weight(tmp_path, monkeypatch, capsys) -> N
 
 
 @pytest.mark.slow
-def test_the_feet_of_the_movie_slip_then_stick() -> None:
-    """Forces stay in the friction cone, feet above the floor; the page and the picture are kept."""
+def test_feet_of_landing_movie_slip_then_stick() -> None:
+    """Forces are in the friction cone, feet above the floor; docs/figures has replay and animation."""
     movie = example("landing_movie")
     robot, trajectory = movie.landing()
     times = np.linspace(0.0, trajectory.duration, 400)
@@ -109,14 +109,14 @@ def test_the_feet_of_the_movie_slip_then_stick() -> None:
     assert (figures / "landing.html").stat().st_size < 4e6
 
 
-def test_a_control_loop_touches_down_and_stays_on_the_table(tmp_path, monkeypatch, capsys) -> None:
+def test_control_loop_touches_down_and_stays_on_the_table(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("control_loop", tmp_path, monkeypatch, capsys)
     assert "impulse" in out
     assert abs(float(out.split("gap ")[1].split(" mm")[0])) < 0.5
 
 
 @pytest.mark.slow
-def test_an_environment_in_the_manner_of_gymnasium(tmp_path, monkeypatch, capsys) -> None:
+def test_environment_in_the_style_of_gymnasium(tmp_path, monkeypatch, capsys) -> None:
     gym = example("gym_style_loop")
     environment = gym.Hop()
     first, _ = environment.reset(seed=3)
@@ -125,14 +125,14 @@ def test_an_environment_in_the_manner_of_gymnasium(tmp_path, monkeypatch, capsys
     assert 0.1 < reward < 0.5
     assert not terminated
     assert not truncated
-    assert info["impacts"] > 0  # it stands 1 mm above the floor at first
+    assert info["impacts"] > 0  # it starts 1 mm above the floor
     again, _ = environment.reset(seed=3)
     np.testing.assert_array_equal(first, again)
     gym.main()
     assert "return" in capsys.readouterr().out
 
 
-def test_two_robots_share_an_impulse(tmp_path, monkeypatch, capsys) -> None:
+def test_impulses_on_two_robots_are_opposite(tmp_path, monkeypatch, capsys) -> None:
     both = example("two_robots")
     model, split = both.both()
     assert model.nv == split + 9
@@ -142,7 +142,7 @@ def test_two_robots_share_an_impulse(tmp_path, monkeypatch, capsys) -> None:
     assert "Panda 0.000 N m s" not in free
 
 
-def test_a_bouncing_motion_is_as_stable_as_in_closed_form(tmp_path, monkeypatch, capsys) -> None:
+def test_stability_of_bouncing_motion_agrees_with_closed_form(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("bouncing_stability", tmp_path, monkeypatch, capsys)
     first, stable, _ = out.splitlines()
     assert float(first.split(": ")[1]) < 1e-9
@@ -153,7 +153,7 @@ def test_a_bouncing_motion_is_as_stable_as_in_closed_form(tmp_path, monkeypatch,
     assert (tmp_path / "bouncing_stability.png").is_file()
 
 
-def test_passes_that_bounce_reach_their_target_as_in_closed_form(tmp_path, monkeypatch, capsys) -> None:
+def test_bounce_passes_agree_with_closed_form(tmp_path, monkeypatch, capsys) -> None:
     pytest.importorskip("torch", reason="PyTorch is not installed")
     out = printed_by("bounce_pass", tmp_path, monkeypatch, capsys)
     first, second, _ = out.splitlines()
@@ -162,7 +162,7 @@ def test_passes_that_bounce_reach_their_target_as_in_closed_form(tmp_path, monke
     assert (tmp_path / "bounce_pass.png").is_file()
 
 
-def test_a_fast_strike_keeps_joint_velocities_within_limits(tmp_path, monkeypatch, capsys) -> None:
+def test_joint_velocities_of_fast_strike_are_within_limits(tmp_path, monkeypatch, capsys) -> None:
     pytest.importorskip("daqp", reason="the solver daqp is not installed")
     pytest.importorskip("qpsolvers", reason="qpsolvers is not installed")
     out = printed_by("fast_strike", tmp_path, monkeypatch, capsys)
@@ -170,16 +170,16 @@ def test_a_fast_strike_keeps_joint_velocities_within_limits(tmp_path, monkeypatc
         float(line.split("most ")[1].split()[0]) if "most" in line else 0 for line in out.splitlines()
     )
     assert fast > 1.2
-    assert 0.98 < within < 1.0  # as fast as they permit
+    assert 0.98 < within < 1.0  # near the limits
     assert (tmp_path / "fast_strike.png").is_file()
     module = example("fast_strike")
     _, q, v = module.strike(careful=True)
     ends = np.abs(module.after(q, v, (module.LEAST, module.MOST))).max(axis=1)
-    assert (ends > 0.98).all()  # either end limits the speed
+    assert (ends > 0.98).all()  # both ends limit the speed
 
 
 @pytest.mark.slow
-def test_a_quadruped_lands_where_asked(tmp_path, monkeypatch, capsys) -> None:
+def test_quadruped_jumps_to_target(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("jump_to_place", tmp_path, monkeypatch, capsys)
     assert "impacts of 4 feet" in out
     assert float(out.split("replay is ")[1].split(" m")[0]) < 1e-6
@@ -200,7 +200,7 @@ def test_a_quadruped_lands_where_asked(tmp_path, monkeypatch, capsys) -> None:
         assert slope[:, k] == pytest.approx(differences, abs=2e-6)
 
 
-def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatch, capsys) -> None:
+def test_only_newtons_law_creates_energy(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("comparing_laws", tmp_path, monkeypatch, capsys)
     kept = {line.split(": ")[1].split()[0]: float(line.split("keeps ")[1].split(" %")[0])
             for line in out.splitlines() if line.startswith("Kane")}  # fmt: skip
@@ -209,13 +209,13 @@ def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatc
     assert (tmp_path / "comparing_laws.png").is_file()
 
 
-def test_kanes_puzzle_is_told(tmp_path, monkeypatch, capsys) -> None:
+def test_output_of_kanes_puzzle(tmp_path, monkeypatch, capsys) -> None:
     lines = printed_by("kane_puzzle", tmp_path, monkeypatch, capsys).splitlines()
     assert [line.split()[0] for line in lines if "energy created" in line] == ["newton"]
 
 
 @pytest.mark.slow
-def test_a_tossed_box_is_identified(tmp_path, monkeypatch, capsys) -> None:
+def test_tossed_box_is_identified(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("identify_box", tmp_path, monkeypatch, capsys)
     rows = [line.replace(",", "").split() for line in out.splitlines() if ", true " in line]
     found = {row[0]: (float(row[1]), float(row[5]), float(row[7]), float(row[9])) for row in rows}
@@ -230,7 +230,7 @@ def test_a_tossed_box_is_identified(tmp_path, monkeypatch, capsys) -> None:
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_kept_without_its_output(notebook: Path) -> None:
+def test_notebook_is_stored_without_output(notebook: Path) -> None:
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
         assert not cell.get("outputs")
         assert cell.get("execution_count") is None
@@ -238,7 +238,7 @@ def test_a_notebook_is_kept_without_its_output(notebook: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(notebook: Path, tmp_path: Path) -> None:
+def test_notebook_runs(notebook: Path, tmp_path: Path) -> None:
     pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     run = "import sys, nbformat, nbclient\nbook = nbformat.read(sys.argv[1], 4)\n"
@@ -270,7 +270,7 @@ def test_all_figures_are_written(figures, tmp_path: Path, capsys) -> None:
     assert len(capsys.readouterr().out.splitlines()) == 5
 
 
-def test_figure_3_lies_on_the_closed_form(figures) -> None:
+def test_figure_3_agrees_with_closed_form(figures) -> None:
     start = 5 / np.sqrt(2)
     for label, curve in curves(figures, 3).items():
         if label.startswith("μ"):
@@ -283,7 +283,7 @@ def test_figure_7_slip_resumes_across_the_rod(figures) -> None:
             np.testing.assert_allclose(curve[-1], [0.0, -0.084710897502], atol=1e-9)
 
 
-def test_a_pushed_quadruped_slips_and_stands_again(tmp_path: Path, capsys) -> None:
+def test_pushed_quadruped_slips_and_recovers(tmp_path: Path, capsys) -> None:
     push = example("push_recovery")
     push.main(tmp_path)
     assert (tmp_path / "push_recovery.png").is_file()
@@ -295,7 +295,7 @@ def test_a_pushed_quadruped_slips_and_stands_again(tmp_path: Path, capsys) -> No
     assert sum(trajectory.forces(foot, end)[2] for foot in push.FEET) == pytest.approx(weight, rel=1e-3)
 
 
-def test_a_break_is_its_own_mirror_image_and_loses_energy(tmp_path, monkeypatch, capsys) -> None:
+def test_billiard_break_is_symmetric_and_loses_energy(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("billiard_break", tmp_path, monkeypatch, capsys)
     assert (tmp_path / "billiard_break.png").is_file()
     assert out.count("31 contacts") == 2
@@ -308,15 +308,15 @@ def test_a_break_is_its_own_mirror_image_and_loses_energy(tmp_path, monkeypatch,
     assert -0.5 < solution.work.total.sum() < 0.0
 
 
-def test_a_flat_landing_and_a_tilted_one(tmp_path, monkeypatch, capsys) -> None:
+def test_flat_and_tilted_landing(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("flat_landing", tmp_path, monkeypatch, capsys)
     assert "propagate, flat, first 5 ms: impulses 4, instants 1" in out
     assert (tmp_path / "flat_landing.png").is_file()
     _, flat = example("flat_landing").land(0.0)
-    assert np.abs(flat[[1, 3, 5]]).max() < 1e-3  # the robot's two sides differ by 1e-6 of their masses
+    assert np.abs(flat[[1, 3, 5]]).max() < 1e-3  # masses of both sides of the robot differ by 1e-6
 
 
-def test_kicked_feet_push_and_held_ones_pull(tmp_path, monkeypatch, capsys) -> None:
+def test_feet_of_kicked_quadruped_push_and_held_ones_pull(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("kicked_quadruped", tmp_path, monkeypatch, capsys)
     assert (tmp_path / "kicked_quadruped.png").is_file()
     assert out.count("which pulls") == 2
@@ -332,7 +332,7 @@ def test_kicked_feet_push_and_held_ones_pull(tmp_path, monkeypatch, capsys) -> N
         assert momentum == pytest.approx(trunk + feet.sum(axis=0), abs=1e-9)
 
 
-def test_a_velocity_after_an_impact_is_as_sure_as_its_coefficients(tmp_path, monkeypatch, capsys) -> None:
+def test_uncertainty_of_velocity_after_impact(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     sure = example("how_sure")
     sure.main(64)
@@ -350,7 +350,7 @@ def test_a_velocity_after_an_impact_is_as_sure_as_its_coefficients(tmp_path, mon
 
 
 @pytest.mark.slow
-def test_a_fair_die_has_no_favourite_and_a_loaded_one_does(tmp_path, monkeypatch, capsys) -> None:
+def test_frequencies_of_fair_and_loaded_die(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     dice = example("die")
     dice.main(12)

@@ -451,7 +451,7 @@ def test_11_a_locked_mechanism():
 
 
 @pytest.mark.parametrize("name", SWEEPS)
-def test_sweeps_have_only_the_jumps_of_the_model(name):
+def test_sweeps_have_no_other_jumps(name):
     """Bisection towards the steepest changes reduces them to zero, except at jumps."""
     sweep = SWEEPS[name]
     jumps = 0

@@ -162,10 +162,10 @@ def test_a_scene_is_the_same_either_way(way):
         partial(
             test_contacts_matrices.test_mass_and_delassus_by_inverse_dynamics_and_dense_algebra, name="solo12"
         ),
-        test_contacts_matrices.test_mimic_joints_move_as_they_are_told,
+        test_contacts_matrices.test_mimic_joints,
         partial(test_impact_physics.test_energy_by_pinocchio_is_the_ledger, "panda", "poisson"),
         partial(test_impact_physics.test_momentum_changes_by_the_impulse, "kinova"),
-        test_impact_physics.test_two_bodies_may_change_roles,
+        test_impact_physics.test_roles_of_the_two_bodies_can_be_exchanged,
         test_impact_physics.test_many_states_at_once,
     ],
     ids=lambda test: getattr(test, "func", test).__name__,
