@@ -1,4 +1,4 @@
-"""What all tests share: the profiles of hypothesis, and warnings of kernels that are not compiled."""
+"""Profiles of hypothesis, warnings of kernels that are not compiled, and figures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ settings.load_profile("default")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let kernels overflow in silence where NumPy runs them, as they do when compiled."""
+    """Ignore floating-point warnings of NumPy in kernels that are not compiled; compiled ones have none."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         config.addinivalue_line("filterwarnings", "ignore::RuntimeWarning")
 
 
 @pytest.fixture(autouse=True)
 def no_figures_left() -> Iterator[None]:
-    """Close the figures of a test: those that others leave would add up to a warning of matplotlib."""
+    """Close all figures after a test, since matplotlib warns about many open ones."""
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")

@@ -1,4 +1,4 @@
-"""How many examples a property is tried on."""
+"""Numbers of examples of hypothesis."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from hypothesis import settings
 
 
 def examples(count: int) -> settings:
-    """Return settings for `count` examples, or as many times more as the profile in use has of its own.
+    """Return settings for `count` examples, multiplied by the examples of the current profile over 100.
 
-    The profiles are those of conftest.py: "default" draws the same examples in every run, "random" new ones
-    in every run, and ten times as many.
+    The profiles are in conftest.py: "default" draws the same examples in each run, "random" ten times as many
+    new ones.
     """
     return settings(max_examples=count * settings.default.max_examples // 100)

@@ -1,4 +1,4 @@
-"""What is no real number is refused by an error that names the field; nothing is converted silently."""
+"""Invalid input: errors name the argument, and nothing that is not a real number is converted silently."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ ARRAYS = {
 
 @pytest.mark.parametrize("entry", ARRAYS)
 @pytest.mark.parametrize("kind", NOT_REAL)
-def test_an_array_that_holds_no_real_numbers_is_refused(entry, kind):
+def test_arrays_without_real_numbers_raise(entry, kind):
     field, good, call = ARRAYS[entry]
     call(good)
     with pytest.raises(PinimpactError, match=f"^{field}: ") as caught:
@@ -114,7 +114,7 @@ NUMBERS = {
 
 @pytest.mark.parametrize("field", NUMBERS)
 @pytest.mark.parametrize("value", ["0.3", "x", 0.3 + 0j, True, np.datetime64("2020-01-01"), np.ma.masked])
-def test_what_is_no_number_is_refused(field, value):
+def test_values_that_are_not_numbers_raise(field, value):
     with pytest.raises(InputError, match=f"^{field}: "):
         NUMBERS[field](value)
 
@@ -129,12 +129,12 @@ def test_what_is_no_number_is_refused(field, value):
         ({"scheme": "event-driven", "dt": 1e-2}, "dt"),
     ],
 )
-def test_numbers_out_of_range_are_refused(options, field):
+def test_numbers_out_of_range_raise(options, field):
     with pytest.raises(InputError, match=f"^{field}: "):
         simulate(SCENE, Q, V, 0.01, **options)
 
 
-def test_numbers_of_any_real_kind_are_taken():
+def test_all_real_types_are_accepted():
     exact = impact(Q, V).v
     for kind in (np.float32, object, list):
         q = Q.tolist() if kind is list else Q.astype(kind)
@@ -143,18 +143,18 @@ def test_numbers_of_any_real_kind_are_taken():
     np.testing.assert_array_equal(integers.velocity, [0.0, 0.0, 0.0])
 
 
-def test_events_have_one_of_three_directions():
+def test_invalid_direction_of_event_raises():
     for direction in (5, "up", True, None):
         with pytest.raises(InputError, match="direction="):
             pinimpact.Event(lambda t, q, v: 1.0, direction=direction)
 
 
-def test_a_rim_asks_for_its_axis():
+def test_rim_without_axis_raises():
     with pytest.raises(InputError, match="the axis of the rim"):
         Contact("tip", Plane(), rim=0.1, axis=(0.0, 0.0, 0.0))
 
 
-def test_a_mass_that_is_no_number_is_named():
+def test_non_finite_mass_raises():
     model = pendulum()
     model.inertias[1] = pin.Inertia(np.nan, np.zeros(3), np.eye(3))
     with pytest.raises(pinimpact.ModelError, match=r"'hinge'.*not finite"):
@@ -162,11 +162,11 @@ def test_a_mass_that_is_no_number_is_named():
 
 
 @pytest.mark.parametrize("count", range(2, 7))
-def test_an_inertia_that_no_density_has_is_warned_of(count):
+def test_physically_impossible_inertia_warns(count):
     points = np.random.default_rng(count).normal(size=(count, 3))  # on a line, in a plane, in space
     model = pendulum()
 
-    def strike(moments):  # ∫ x xᵀ dm of a density has no negative eigenvalue
+    def strike(moments):  # eigenvalues of ∫ x xᵀ dm cannot be negative
         inertia = np.trace(moments) * np.eye(3) - moments
         model.inertias[1] = pin.Inertia(1.0, np.array([0.0, 0.0, -0.5]), (inertia + inertia.T) / 2)
         pinimpact.impact(model, model.createData(), Q, V, TIP)
@@ -179,7 +179,7 @@ def test_an_inertia_that_no_density_has_is_warned_of(count):
             strike(axes * moments @ axes.T)
 
 
-def test_a_negative_mass_beside_a_larger_one_is_refused():
+def test_negative_mass_with_positive_total_raises():
     model = ball()
     model.addJoint(1, pin.JointModelRX(), pin.SE3.Identity(), "lid")
     model.inertias[2] = pin.Inertia(-1e-3, np.zeros(3), 1e-2 * np.eye(3))
@@ -198,17 +198,17 @@ def test_a_negative_mass_beside_a_larger_one_is_refused():
         (None, "NoneType given"),
     ],
 )
-def test_what_is_no_robot_is_called_what_it_is(robot, says):
+def test_message_for_invalid_robot(robot, says):
     with pytest.raises(PinimpactError, match=f"^robot: .*{says}"):
         pinimpact.load_robot(robot)
 
 
-def test_a_folder_of_packages_has_to_exist(tmp_path):
+def test_missing_package_folder_raises(tmp_path):
     with pytest.raises(InputError, match=r"^package_dirs: there is no folder"):
         pinimpact.load_robot("rod", package_dirs=tmp_path / "nowhere")
 
 
-def test_files_go_into_folders_that_exist(tmp_path):
+def test_missing_output_folder_raises(tmp_path):
     trajectory = simulate(SCENE, Q, V, 0.01)
     nowhere = tmp_path / "nowhere"
     with pytest.raises(InputError, match=r"^path: there is no folder"):
@@ -222,7 +222,7 @@ def test_files_go_into_folders_that_exist(tmp_path):
         trajectory.save(tmp_path)
 
 
-def test_files_that_hold_no_trajectory_are_called_what_they_are(tmp_path):
+def test_missing_or_invalid_trajectory_file_raises(tmp_path):
     with pytest.raises(InputError, match=r"^path: there is no file .*fall\.npz$"):
         pinimpact.Trajectory.load(tmp_path / "fall.npz")
     (tmp_path / "text.npz").write_text("t, q, v")
@@ -230,12 +230,12 @@ def test_files_that_hold_no_trajectory_are_called_what_they_are(tmp_path):
         pinimpact.Trajectory.load(tmp_path / "text.npz")
 
 
-def test_solve_impact_takes_a_problem():
+def test_solve_impact_without_problem_raises():
     with pytest.raises(InputError, match=r"^problem: ndarray given; an ImpactProblem is expected"):
         pinimpact.solve_impact(np.eye(3), [0, 0, -1])
 
 
-def test_degrees_are_noticed_before_anything_else():
+def test_degrees_are_reported_first():
     arm = pinimpact.load_robot("panda")
     degrees = np.rad2deg(arm.q0)
     below = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane((0, 0, 5)))
@@ -253,7 +253,7 @@ def test_degrees_are_noticed_before_anything_else():
         ('robot = "rod"\nduration = 1\n', r"'rod' in .*; write \[\[robot\]\]"),
     ],
 )
-def test_one_table_in_place_of_a_list_is_told(tmp_path, text, says):
+def test_table_instead_of_array_of_tables_raises(tmp_path, text, says):
     path = tmp_path / "scene.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=says):
@@ -269,7 +269,7 @@ def test_one_table_in_place_of_a_list_is_told(tmp_path, text, says):
         (["demo", "rod", "--direction", "0", "0", "1"], "does not point down to the table"),
     ],
 )
-def test_the_command_line_refuses_names_and_directions_at_once(words, says, tmp_path, monkeypatch):
+def test_invalid_arguments_of_commands(words, says, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, words)
     assert result.exit_code != 0
@@ -282,7 +282,7 @@ def test_named_robots_can_be_loaded_here():
     assert ("cassie" in named_robots()["example-robot-data"]) == pin.WITH_SDFORMAT
 
 
-def test_objects_show_themselves_in_a_line():
+def test_repr_is_one_line():
     robot = pinimpact.load_robot("panda")
     scene = Scene(robot).contacts_from_geometry(Plane(), friction=0.3)
     many = pinimpact.solve_impact(
@@ -321,7 +321,7 @@ def test_objects_show_themselves_in_a_line():
     )
 
 
-def test_a_pickled_scene_has_the_shapes_that_its_contacts_name_and_no_others():
+def test_pickled_scene_has_only_the_shapes_of_its_contacts():
     robot = pinimpact.load_robot("solo12")
     foot = Contact("HR_FOOT", Plane(), friction=0.3)
     assert len(pickle.dumps(Scene(robot, [foot]))) < 1.1 * len(pickle.dumps(Scene(robot.model, [foot])))
@@ -336,7 +336,7 @@ def test_a_pickled_scene_has_the_shapes_that_its_contacts_name_and_no_others():
     assert len(again.geometry.geometryObjects) == 1
 
 
-def test_a_ball_falls_for_a_time_given_as_an_integer():
+def test_integers_as_duration_and_state():
     scene = Scene(ball(), [Contact("center", Plane(), radius=0.1)])
     trajectory = simulate(scene, [0, 0, 30, *UP], [0] * 6, 1)
     assert trajectory.q[-1, 2] == pytest.approx(30.0 - 0.5 * 9.80665 * 1.0, abs=1e-2)
@@ -417,7 +417,7 @@ def watched(asked):
 
 
 @pytest.mark.parametrize(("field", "call"), OF_ANOTHER_KIND.values(), ids=OF_ANOTHER_KIND)
-def test_what_is_of_another_kind_is_refused(field, call):
+def test_arguments_of_wrong_type_raise(field, call):
     with pytest.raises(PinimpactError, match=rf"^\W*{field}: ") as told:
         call()
     assert told.value.field == field
@@ -425,7 +425,7 @@ def test_what_is_of_another_kind_is_refused(field, call):
 
 
 class Long:
-    """Something whose repr takes many lines, as that of a model or an array may."""
+    """An object whose repr has many lines."""
 
     def __repr__(self):
         return "<a long\nrepr>" * 1000
@@ -461,7 +461,7 @@ TOLD_IN_SHORT = {
 
 
 @pytest.mark.parametrize("call", TOLD_IN_SHORT.values(), ids=TOLD_IN_SHORT)
-def test_messages_hold_no_long_reprs(call):
+def test_messages_contain_no_long_reprs(call):
     with pytest.raises(PinimpactError) as told:
         call()
     assert "<a long repr>" in str(told.value)

@@ -1,4 +1,4 @@
-"""Inertia, sliding friction and gravity from recorded motions, and predictions against recordings."""
+"""Identification of inertia, sliding friction and gravity from recorded motions; errors of predictions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .test_recorded_impacts import box_scene, cube_motions, recorded, toss
 
 
 def struck_boxes(rng: np.random.Generator, count: int = 60) -> studies.FoundImpacts:
-    """Return exact impacts of the box at random corners, each corner down."""
+    """Return exact impacts of the box at its lowest corner, with random orientations."""
     scene = box_scene(0.3, 0.4)
     model, data = scene.model, scene.model.createData()
     q, v = np.zeros((count, 7)), rng.normal(size=(count, 6)) * [1, 1, 1, 5, 5, 5]
@@ -36,13 +36,13 @@ def struck_boxes(rng: np.random.Generator, count: int = 60) -> studies.FoundImpa
 
 
 def wrong(scene: Scene) -> Scene:
-    """Return the scene with another inertia and radius."""
+    """Return the scene with wrong inertia and radii."""
     model = scene.model.copy()
     model.inertias[1] = pin.Inertia(0.4, np.zeros(3), np.diag([7e-4, 7e-4, 7e-4]))
     return Scene(model, [replace(one, radius=0.0) for one in scene.contacts])
 
 
-def test_the_inertia_follows_from_impacts_without_their_law() -> None:
+def test_inertia_from_impacts_without_restitution_law() -> None:
     exact = struck_boxes(np.random.default_rng(0))
     fit = studies.identify_body(replace(exact, scene=wrong(exact.scene)))
     assert fit.law is None
@@ -54,14 +54,14 @@ def test_the_inertia_follows_from_impacts_without_their_law() -> None:
     assert [contact.radius for contact in found.contacts] == pytest.approx([0.002] * 8, abs=1e-7)
 
 
-def test_the_centre_of_mass_alone_is_fitted_with_what_the_scene_has() -> None:
+def test_fit_of_centre_of_mass_alone() -> None:
     exact = struck_boxes(np.random.default_rng(1))
     fit = studies.identify_body(exact, "com", loss="linear")
     assert fit.names == ("com:x", "com:y", "com:z")
     assert fit.x == pytest.approx([0.004, -0.003, 0.006], abs=1e-8)
 
 
-def test_standard_errors_of_an_inertia_hold() -> None:
+def test_standard_errors_of_centre_of_mass() -> None:
     rng = np.random.default_rng(2)
     exact, scores = struck_boxes(rng), []
     truth = np.array([0.004, -0.003, 0.006])
@@ -73,7 +73,7 @@ def test_standard_errors_of_an_inertia_hold() -> None:
 
 
 def sliding_scene() -> Scene:
-    """Return the box on a plane, with other friction in sliding and gravity that is not along the normal."""
+    """Return a scene of the box with separate sliding friction and gravity not along the normal."""
     scene = box_scene(0.2, 0.0)
     scene.model.gravity.linear = np.array([0.15, -0.1, -9.8])
     return replace(scene, contacts=[replace(one, sliding_friction=0.3) for one in scene.contacts])
@@ -104,11 +104,11 @@ def test_sliding_friction_and_gravity_of_simulated_slides() -> None:
 
 
 @pytest.mark.slow
-def test_roll_outs_of_the_true_model_are_exact_and_of_another_are_not() -> None:
+def test_rollouts_of_true_and_other_model() -> None:
     rng, scene = np.random.default_rng(4), box_scene()
     motions = [recorded(toss(scene, rng, 0.2), rng, group=k) for k in range(6)]
     true = studies.rollouts(scene, motions)
-    # the state of a flight is exact to the accuracy of its rotations
+    # states of flights have the accuracy of rotations
     assert true.at_end()[:, 0].max() < 1e-5
     assert [len(t) for t in true.time] == [30] * 6
     other = studies.rollouts(
@@ -128,8 +128,8 @@ def test_roll_outs_of_the_true_model_are_exact_and_of_another_are_not() -> None:
         studies.compare(true, again)
 
 
-def test_recorded_quaternions_may_be_rounded() -> None:
-    """A box slides from v to rest in v/(μ g), on v t − μ g t²/2; its quaternions have three digits."""
+def test_rounded_quaternions() -> None:
+    """A box slides by v t − μ g t²/2 until it stops at t = v/(μ g); its quaternions have three digits."""
     motions, t = [], np.arange(0.0, 0.5, 1 / 150)
     for k, v in enumerate((0.8, 1.0, 1.2)):
         s = np.minimum(t, v / (0.25 * 9.81))
@@ -171,8 +171,8 @@ def cubes():
     return dict(np.load(CUBES))
 
 
-def test_the_inertia_of_the_recorded_cube(cubes) -> None:
-    """That which others found from free flight and momentum balance, within four standard errors."""
+def test_inertia_of_recorded_cube(cubes) -> None:
+    """Compare with the published inertia from free flight and momentum balance."""
     scene = cube_scene(cubes)
     found = studies.FoundImpacts(*cube_states(cubes), names_of(cubes), cubes["toss"], scene=scene)
     fit = studies.identify_body(found)
@@ -183,7 +183,7 @@ def test_the_inertia_of_the_recorded_cube(cubes) -> None:
 
 
 @pytest.mark.slow
-def test_sliding_of_the_recorded_cube(cubes) -> None:
+def test_sliding_of_recorded_cube(cubes) -> None:
     scene = cube_scene(cubes)
     scene.model.gravity.linear = np.array([0.0, 0.0, -9.81 / 1.0215])
     motions = cube_motions(cubes, dict(np.load(CUBES.with_name("trajectories.npz"))), 284)

@@ -1,4 +1,4 @@
-"""Many processes that need the same kernels: one compiles, and a lock left behind holds nobody up."""
+"""Lock of the kernel cache: one process compiles a kernel, and stale locks are taken over."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_first_runs_at_once_compile_everything_once_between_them(package: Path) 
     assert not list((package.parent / "cache").rglob("*.lock"))
 
 
-def test_whoever_compiles_and_is_killed_holds_nobody_up(package: Path) -> None:
+def test_lock_of_killed_process_is_taken_over(package: Path) -> None:
     code = (
         "import os, signal\nfrom pinimpact._compile import linking\n"
         "def die(self): os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -63,7 +63,7 @@ def in_thread(wanted: CacheLock) -> threading.Thread:
     return thread
 
 
-def test_a_lock_has_one_holder_and_goes_to_whoever_waits(tmp_path: Path) -> None:
+def test_lock_has_one_holder_and_is_passed_to_a_waiting_one(tmp_path: Path) -> None:
     one, other = CacheLock(tmp_path), CacheLock(tmp_path)
     one.acquire()
     assert one.held
@@ -71,7 +71,7 @@ def test_a_lock_has_one_holder_and_goes_to_whoever_waits(tmp_path: Path) -> None
     waiting.join(3.0 * lock.PAUSE)
     assert waiting.is_alive()
     assert not other.held
-    other.release()  # it has nothing to give back
+    other.release()  # no effect
     assert one.file.exists()
     one.release()
     waiting.join(30.0)
@@ -81,7 +81,7 @@ def test_a_lock_has_one_holder_and_goes_to_whoever_waits(tmp_path: Path) -> None
     assert not list(tmp_path.iterdir())
 
 
-def test_a_holder_that_works_is_not_taken_over_and_one_that_stopped_is(
+def test_only_locks_of_stopped_holders_are_taken_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lock, "BEAT", 0.05)
@@ -91,15 +91,15 @@ def test_a_holder_that_works_is_not_taken_over_and_one_that_stopped_is(
     waiting = in_thread(other)
     waiting.join(2.5 * lock.STALE)
     assert waiting.is_alive()
-    one._ended.set()  # as if its machine were switched off
+    one._ended.set()  # the holder stops renewing its lock
     waiting.join(30.0)
     assert other.held
-    one.release()  # no longer its own
+    one.release()  # no effect on the lock of the other
     assert other.file.read_text() == other._token
     other.release()
 
 
-def test_a_process_that_ended_and_one_of_another_machine(tmp_path: Path) -> None:
+def test_locks_of_ended_process_and_of_another_machine(tmp_path: Path) -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     mine = CacheLock(tmp_path)
@@ -110,12 +110,12 @@ def test_a_process_that_ended_and_one_of_another_machine(tmp_path: Path) -> None
     assert time.monotonic() - begun < lock.STALE
     mine.release()
     mine.file.write_text(f"elsewhere {ended.pid} 00")
-    mine.acquire(lambda: True)  # what it was wanted for is there by now
+    mine.acquire(lambda: True)  # returns without the lock, as the kernel exists by now
     assert not mine.held
     assert mine.file.exists()
 
 
-def test_where_no_lock_can_be_had_nobody_waits(tmp_path: Path) -> None:
+def test_no_wait_if_lock_file_cannot_be_created(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("a file where a folder is wanted")
     mine = CacheLock(tmp_path / "file" / "cache")
     mine.acquire()

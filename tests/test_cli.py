@@ -1,4 +1,4 @@
-"""The command line, as a user calls it."""
+"""Commands of the command line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def call(*args: str):
     return CliRunner().invoke(main, args)
 
 
-def test_help_names_the_verbs() -> None:
+def test_help_lists_commands() -> None:
     result = call("--help")
     assert result.exit_code == 0
     for verb in ("demo", "robots", "info", "plan", "run", "cost", "warmup"):
@@ -55,7 +55,7 @@ def test_demo(robot: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("robot", ["kinova", "panda", "solo12", "talos_arm", "ur5", "xarm7", "z1"])
-def test_every_robot_strikes_as_planned(robot: str) -> None:
+def test_contact_velocity_of_demos(robot: str) -> None:
     shown = run_demo(robot)
     impact = shown.impact
     free = shown.robot.model.joints[1].nv == 6
@@ -69,7 +69,7 @@ def test_every_robot_strikes_as_planned(robot: str) -> None:
     assert impact.solution.work.friction < 0.0
 
 
-def test_demo_of_an_unknown_robot() -> None:
+def test_demo_of_unknown_robot() -> None:
     result = call("demo", "pandaa")
     assert result.exit_code == 1
     assert "Error: robot: 'pandaa'" in result.output
@@ -92,7 +92,7 @@ def test_run(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
 
 
-def test_run_keeps_what_was_computed_when_it_cannot_go_on(tmp_path: Path) -> None:
+def test_failed_run_writes_its_partial_trajectory(tmp_path: Path) -> None:
     scene = tmp_path / "scene.toml"
     text = (SCENES / "ball_on_conveyor.toml").read_text(encoding="utf-8")
     text = text.replace("ball.urdf", str(SCENES / "ball.urdf")).replace(
@@ -106,7 +106,7 @@ def test_run_keeps_what_was_computed_when_it_cannot_go_on(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("verb", [("demo",), ("run", str(SCENES / "ball_on_conveyor.toml")), ("cost",)])
-def test_a_folder_that_cannot_be_made_is_said_before_anything_is_computed(
+def test_invalid_output_folder_raises_before_computing(
     verb: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def compute(*_: object, **__: object) -> None:
@@ -143,7 +143,7 @@ def test_cost_sums_up_and_has_all_rows_on_demand(tmp_path: Path) -> None:
     assert {point["method"] for point in figures["points"]} == {"exact", "rk4"}
 
 
-def test_an_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from rich.progress import Progress
 
     def interrupt(*_: object, **__: object) -> None:
@@ -156,9 +156,7 @@ def test_an_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "trajectory.npz").is_file()
 
 
-def test_an_interrupted_demo_or_measurement_ends_as_shells_have_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_exit_status_of_interrupted_demo_and_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -170,7 +168,7 @@ def test_an_interrupted_demo_or_measurement_ends_as_shells_have_it(
         assert result.output.endswith("Interrupted.\n")
 
 
-def test_what_an_earlier_run_has_written_is_not_written_over(tmp_path: Path, monkeypatch) -> None:
+def test_files_of_earlier_runs_are_not_overwritten(tmp_path: Path, monkeypatch) -> None:
     scene = str(SCENES / "ball_on_conveyor.toml")
     (tmp_path / "replay.html").write_text("mine", encoding="utf-8")
     result = call("run", scene, "-o", str(tmp_path))
@@ -189,7 +187,7 @@ def test_what_an_earlier_run_has_written_is_not_written_over(tmp_path: Path, mon
     assert set(RUN_FILES) == {path.name for path in (tmp_path / "out-2").iterdir()}
 
 
-def test_a_run_as_json(tmp_path: Path) -> None:
+def test_run_as_json(tmp_path: Path) -> None:
     result = call("run", str(SCENES / "ball_on_conveyor.toml"), "--json", "-o", str(tmp_path))
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
@@ -200,7 +198,7 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     assert facts["energy"]["energy residual"] == trajectory.energy.residual[-1]
 
 
-def test_the_sampling_of_a_run_can_be_given(tmp_path: Path) -> None:
+def test_period_and_delay_of_run(tmp_path: Path) -> None:
     text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
     text = text.replace("duration = 0.6", "duration = 0.004").replace("rtol = 1e-6", "rtol = 1e-9")
     bare = tmp_path / "bare.toml"
@@ -209,7 +207,7 @@ def test_the_sampling_of_a_run_can_be_given(tmp_path: Path) -> None:
     result = call("run", str(bare), "--period", "1 ms", "--delay", "0.002", *options)
     assert result.exit_code == 0, result.output
     found = pinimpact.Trajectory.load(json.loads(result.stdout)["files"]["Trajectory"])
-    # at rest at its reference its motors begin with nothing, and act two samples late
+    # the robot starts at rest at its reference, so torques are zero until they are two samples old
     loaded = load_scene(bare, {"period": 1e-3, "delay": 2e-3})
     assert (loaded.scene.period, loaded.scene.delay) == (1e-3, 2e-3)
     assert found.q[-1] == pytest.approx(loaded.run().q[-1], abs=1e-15)
@@ -234,7 +232,7 @@ def test_the_sampling_of_a_run_can_be_given(tmp_path: Path) -> None:
         (".", "cannot read .: Is a directory"),
     ],
 )
-def test_a_scene_that_cannot_be_read_is_said_in_a_sentence(scene: str, said: str) -> None:
+def test_message_for_unreadable_scene(scene: str, said: str) -> None:
     result = call("plan", scene)
     assert (result.exit_code, result.output) == (1, f"Error: scene: {said}\n")
 
@@ -253,7 +251,7 @@ def test_robots_are_listed() -> None:
     assert json.loads(call("robots", "rod", "--json").stdout)["pinimpact"] == ["rod"]
 
 
-def test_info_tells_joints_limits_and_frames() -> None:
+def test_info_shows_joints_limits_and_frames() -> None:
     result = call("info", "panda")
     assert result.exit_code == 0, result.output
     for text in (
@@ -276,8 +274,7 @@ def test_info_tells_joints_limits_and_frames() -> None:
 
 
 @pytest.mark.parametrize("columns", [72, 80])
-def test_tables_keep_their_numbers_whole(columns: int) -> None:
-    """Where room is short names are folded, not numbers cut."""
+def test_narrow_tables_wrap_names_and_do_not_truncate_numbers(columns: int) -> None:
     from pinimpact.app.report import _columns
 
     names = ("left_gripper_of_the_humanoid_robot on the_table_in_the_kitchen",) * 2
@@ -292,7 +289,7 @@ def test_tables_keep_their_numbers_whole(columns: int) -> None:
     assert "…" not in printed
 
 
-def test_it_runs_as_a_module_too() -> None:
+def test_command_as_a_module() -> None:
     run = subprocess.run(
         [sys.executable, "-m", "pinimpact", "--version"],
         capture_output=True,
@@ -303,7 +300,7 @@ def test_it_runs_as_a_module_too() -> None:
     assert run.stdout == f"pinimpact, version {pinimpact.__version__}\n"
 
 
-def test_a_reader_that_has_read_enough_is_no_error() -> None:
+def test_closed_output_pipe_is_no_error() -> None:
     shown = subprocess.Popen(
         [sys.executable, "-m", "pinimpact", "robots"],
         stdout=subprocess.PIPE,
@@ -316,7 +313,7 @@ def test_a_reader_that_has_read_enough_is_no_error() -> None:
     assert "Errno" not in said
 
 
-def test_cost_shows_what_it_waits_for(monkeypatch, tmp_path):
+def test_cost_shows_progress(monkeypatch, tmp_path):
     def waits(*_, progress, **__):
         progress("a class")
         logging.getLogger("pinimpact.compiling").warning("compiling kernels: up to about 5 s")

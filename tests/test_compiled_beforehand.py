@@ -1,4 +1,4 @@
-"""A scene compiles whatever it may need when it is set up, with the types declared, and nothing later."""
+"""A scene compiles all kernels that it may need when it is set up, with declared types, and none later."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def overloads():
                     found[f"{item.py_func.__module__}.{item.py_func.__name__}"] = len(item.overloads)
     return found
 
-# at rest on a plane and beside a sphere: all that follows is of these kinds
+# contacts with a plane and a sphere, as in all scenes below
 floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
 post = Contact("center", Sphere((3, 0, 0), 0.2), radius=0.1, name="post")
 simulate(Scene(ball(), [floor, post]), [0, 0, 1.0, *UP], np.zeros(6), 1e-6)
@@ -57,7 +57,7 @@ from numba.core.dispatcher import Dispatcher
 from pinimpact import Contact, Plane, Scene, impact, load_robot, simulate
 from tests.scene_models import UP, ball, free_body
 
-def there():  # each kernel that is compiled or loaded, with its types
+def there():  # return all compiled or loaded kernels with their types
     kernels = {item for name, module in list(sys.modules.items()) if name.startswith("pinimpact.")
                for item in list(vars(module).values()) if isinstance(item, Dispatcher)}
     return {(one.py_func.__qualname__, types) for one in kernels for types in one.overloads}
@@ -76,7 +76,7 @@ def strike(e, mu):
 
 strike(0.5, 0.0)
 before = there()
-assert {"propagate", "impulses_together"} <= names(before)  # what others may come to need, too
+assert {"propagate", "impulses_together"} <= names(before)  # also kernels that later impacts may need
 strike(0.0, 0.5)
 print({name: 1 for name in names(there() - before)})
 """
@@ -88,9 +88,9 @@ GROUPS = (
 set_up = lambda scene, q: simulate(scene, q, np.zeros(scene.model.nv), 1e-6)
 floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
 set_up(Scene(ball(), [floor]), [0, 0, 1.0, *UP])
-assert not names(there()) & {"propagate", "impulses_together", "taking_part"}  # one alone has no need of them
+assert not names(there()) & {"propagate", "impulses_together", "taking_part"}  # not needed for one contact
 
-def struck(scene, q, v, duration):  # by several at once, with nothing compiled but at the set-up
+def struck(scene, q, v, duration):  # impacts at several contacts compile nothing after the set-up
     set_up(scene, q)
     before = there()
     run = simulate(scene, q, v, duration)
@@ -127,7 +127,7 @@ print({one.py_func.__qualname__: set(one.overloads) - {declared_types(one)}
 
 
 @pytest.mark.parametrize(
-    "code", [RUNS, LISTS, GROUPS, AS_DECLARED], ids=["nothing later", "lists", "groups", "as told"]
+    "code", [RUNS, LISTS, GROUPS, AS_DECLARED], ids=["nothing later", "lists", "groups", "as declared"]
 )
 def test_what_is_compiled(code):
     done = subprocess.run(
@@ -186,5 +186,5 @@ print({one.data["dispatcher"].py_func.__qualname__ for _, one in record.buffer i
 """
 
 
-def test_a_warmed_up_machine_compiles_nothing() -> None:
+def test_nothing_is_compiled_after_warmup() -> None:
     test_what_is_compiled(WARMED)

@@ -1,4 +1,4 @@
-"""Contact axes against the rotation's definition in fifty digits, above all next to n = ±z."""
+"""Contact axes against the definition of their rotation in multiple precision, in particular near n = ±z."""
 
 import mpmath
 import numpy as np
@@ -11,13 +11,13 @@ from pinimpact.geometry.surfaces import contact_axes
 
 
 def rotated_axes(normal):
-    """x and y under the smallest rotation that takes z to n, by Rodrigues' formula in 50 digits."""
+    """Return the axes rotated by the smallest rotation from z to n, by Rodrigues' formula."""
     with mpmath.workdps(700):  # 1 + nz is resolved even for components of 1e-300
         n = mpmath.matrix([mpmath.mpf(float(x)) for x in normal])
         n /= mpmath.sqrt(sum(x * x for x in n))
         if n[0] == n[1] == 0 and n[2] < 0:
             return np.diag([1.0, -1.0, -1.0])
-        skew = mpmath.matrix([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0]])  # of z × n
+        skew = mpmath.matrix([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0]])  # matrix of z × n
         rotation = mpmath.eye(3) + skew + skew * skew / (1 + n[2])
         return np.array([[float(rotation[i, j]) for i in range(3)] for j in range(3)])
 
@@ -47,7 +47,7 @@ def test_axes_of_any_normal_are_orthonormal_and_right_handed(normal):
     assert np.abs(axes - rotated_axes(normal)).max() < 1e-15
 
 
-def test_axes_of_z_are_x_and_y_and_of_minus_z_half_a_turn_about_x():
+def test_axes_for_z_and_minus_z():
     assert contact_axes((0, 0, 2)).tolist() == np.eye(3).tolist()
     assert contact_axes((0, 0, -1)).tolist() == np.diag([1.0, -1.0, -1.0]).tolist()
 
@@ -65,7 +65,7 @@ def test_axes_of_z_are_x_and_y_and_of_minus_z_half_a_turn_about_x():
         ("body", True),
     ],
 )
-def test_a_plane_refuses_what_is_no_plane(field, value):
+def test_invalid_plane_raises(field, value):
     with pytest.raises(pinimpact.InputError, match=field) as caught:
         pinimpact.Plane(**{field: value})
     assert caught.value.field == field
@@ -85,23 +85,23 @@ def test_a_plane_refuses_what_is_no_plane(field, value):
         ("body", 1.5),
     ],
 )
-def test_a_sphere_refuses_what_is_no_sphere(field, value):
+def test_invalid_sphere_raises(field, value):
     with pytest.raises(pinimpact.InputError, match=field) as caught:
         pinimpact.Sphere(**({"radius": 1.0} | {field: value}))
     assert caught.value.field == field
 
 
-def test_a_sphere_has_to_be_given_its_radius():
+def test_sphere_without_radius_raises():
     with pytest.raises(pinimpact.InputError, match="radius"):
         pinimpact.Sphere((0, 0, 1))
 
 
 @pytest.mark.parametrize("scale", [1e-200, 1e200])
-def test_a_normal_may_have_any_length(scale):
+def test_normal_of_any_length(scale):
     assert pinimpact.Plane(normal=(0, 3 * scale, 4 * scale)).normal == pytest.approx((0, 0.6, 0.8))
 
 
-def test_surfaces_are_values():
+def test_surfaces_are_compared_by_value():
     assert pinimpact.Plane(point=[1, 2, 3]) == pinimpact.Plane(point=np.array([1.0, 2.0, 3.0]))
     assert len({pinimpact.Plane(), pinimpact.Plane(normal=(0, 0, 5))}) == 1
     assert len({pinimpact.Sphere([0, 0, 1], 2), pinimpact.Sphere(np.array([0.0, 0.0, 1.0]), 2.0)}) == 1

@@ -1,4 +1,4 @@
-"""An impact as an action of Crocoddyl: derivatives against its differences, and a solve through an impact."""
+"""Impacts as actions of Crocoddyl: derivatives against difference quotients, a solve through an impact."""
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +12,7 @@ actions = pytest.importorskip("pinimpact.integrations.crocoddyl")
 
 @pytest.fixture(scope="module")
 def leg():
-    """Return model, q, v and contact of a two-link leg on a rail, whose foot falls on a plane."""
+    """Return model, q, v and contact of a two-link leg on a rail, whose foot falls onto a plane."""
     model = pin.Model()
     inertia = pin.Inertia(1.0, np.array([0.0, 0.0, -0.1]), np.diag([0.01, 0.01, 0.002]))
     joint = 0
@@ -42,8 +42,8 @@ def _costs(state, foot):
     return costs
 
 
-def _differs(action, x):
-    """Return how far Fx and Lx are from forward differences, relative to their largest entries."""
+def _errors(action, x):
+    """Return the errors of Fx and Lx against forward differences, relative to their largest entries."""
     data, differences = action.createData(), crocoddyl.ActionModelNumDiff(action)
     differences.disturbance = 1e-7
     other, none = differences.createData(), np.zeros(0)
@@ -56,7 +56,7 @@ def _differs(action, x):
 
 
 @pytest.mark.parametrize("robot", ["leg", "solo12"])
-def test_derivatives_are_those_of_differences(robot, leg):
+def test_derivatives_against_difference_quotients(robot, leg):
     model, q, v, contact = leg
     if robot == "solo12":
         found = load_robot("solo12")
@@ -68,12 +68,12 @@ def test_derivatives_are_those_of_differences(robot, leg):
         contact = Contact(foot, Plane(), friction=0.4, restitution=0.3)
     state = crocoddyl.StateMultibody(model)
     action = actions.ActionModelImpact(state, [contact], _costs(state, contact.frame))
-    of_state, of_cost = _differs(action, np.r_[q, v])
+    of_state, of_cost = _errors(action, np.r_[q, v])
     assert of_state < 2e-6
     assert of_cost < 2e-6
 
 
-def test_a_problem_with_an_impact_is_solved_in_no_more_iterations_than_with_differences(leg):
+def test_solve_through_impact_needs_no_more_iterations_than_with_differences(leg):
     model, q, v, contact = leg
     state = crocoddyl.StateMultibody(model)
     actuation = crocoddyl.ActuationModelFull(state)
@@ -102,8 +102,8 @@ def test_a_problem_with_an_impact_is_solved_in_no_more_iterations_than_with_diff
 
 
 @pytest.mark.parametrize("height", [0.6, 0.346])
-def test_steps_have_the_derivatives_of_differences(leg, height):
-    """In flight, and with an impact in the step."""
+def test_derivatives_of_steps_against_difference_quotients(leg, height):
+    """The steps are in flight, and with an impact."""
     model, q, v, contact = leg
     state = crocoddyl.StateMultibody(model)
     costs = crocoddyl.CostModelSum(state, model.nv)
@@ -129,7 +129,7 @@ def test_steps_have_the_derivatives_of_differences(leg, height):
         assert np.abs(exact - found).max() < 3e-6 * max(np.abs(exact).max(), 1.0), name
 
 
-def test_a_step_from_below_the_surface_is_nan(leg):
+def test_step_from_below_the_surface_is_nan(leg):
     model, q, v, contact = leg
     state = crocoddyl.StateMultibody(model)
     action = actions.ActionModelStep(Scene(model, [contact]), 0.01, crocoddyl.CostModelSum(state, model.nv))
@@ -140,8 +140,8 @@ def test_a_step_from_below_the_surface_is_nan(leg):
     assert np.isnan(data.Fx).all()
 
 
-def test_a_step_with_impacts_of_two_feet_has_nan_derivatives():
-    """Which foot closes first changes with the state, so there are none; an error would end the process."""
+def test_derivatives_of_step_with_impacts_of_two_feet_are_nan():
+    """The order of impacts depends on the state, so there are none; an error would end the process."""
     model, joint = pin.Model(), 0
     for kind, name in ((pin.JointModelPX(), "x"), (pin.JointModelPZ(), "z")):
         joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
@@ -161,7 +161,7 @@ def test_a_step_with_impacts_of_two_feet_has_nan_derivatives():
     assert np.isnan(found.Fx).all()
 
 
-def test_an_impact_at_two_feet_has_the_derivatives_of_differences():
+def test_derivatives_of_impact_at_two_feet_against_difference_quotients():
     model = load_robot("solo12").model
     q = pin.neutral(model)
     q[7:] = np.tile([0.1, 0.7, -1.4], 4)
@@ -169,7 +169,7 @@ def test_an_impact_at_two_feet_has_the_derivatives_of_differences():
     feet = [Contact(name, Plane(), 0.5, 0.3) for name in ("FL_FOOT", "HR_FOOT")]
     state = crocoddyl.StateMultibody(model)
     action = actions.ActionModelImpact(state, feet, _costs(state, "FL_FOOT"))
-    by_x, by_costs = _differs(action, np.concatenate([q, v]))
+    by_x, by_costs = _errors(action, np.concatenate([q, v]))
     assert by_x < 1e-5
     assert by_costs < 1e-5
 

@@ -1,4 +1,4 @@
-"""The pages: what stands in their blocks runs and prints what they say; every public name has its place."""
+"""Pages: their code blocks run with the printed output; numbers are measured; public names are documented."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def name_of(page: Path) -> str:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Attempting to set identical")
 @pytest.mark.parametrize("page", [p for p in having("python", "sh") if p.stem != "CONTRIBUTING"], ids=name_of)
-def test_a_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
+def test_blocks_of_page_run_with_the_printed_output(page: Path, tmp_path: Path) -> None:
     pages.run_page(page, tmp_path)
     for picture in pages.pictures_of(page):
         assert (tmp_path / picture).stat().st_size > 1000, picture
         assert (pages.PICTURES / picture).is_file(), f"python -m tools.pages {page.stem} makes {picture}"
 
 
-def test_a_page_that_promises_too_much_is_noticed(tmp_path: Path) -> None:
+def test_wrong_output_on_a_page_is_detected(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text('```python\nprint("one")\n```\n\n```text\ntwo\n```\n', encoding="utf-8")
     with pytest.raises(pages.PageError, match=r"page\.md:5 promises\ntwo"):
@@ -62,7 +62,7 @@ def test_a_page_that_promises_too_much_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", ALL, ids=name_of)
-def test_no_block_is_left_out(page: Path) -> None:
+def test_all_blocks_are_checked(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     found = pages.blocks_of(page)
     assert 2 * len(found) == len(re.findall(r"^ *```", text, re.MULTILINE)), "a fence that no test sees"
@@ -76,7 +76,7 @@ def test_no_block_is_left_out(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [p for p in ALL if MARK.search(p.read_text(encoding="utf-8"))], ids=name_of)
-def test_tables_and_figures_are_those_that_were_measured(page: Path) -> None:
+def test_tables_and_figures_agree_with_measurements(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert len(MARK.findall(text)) == len(figures.TABLE.findall(text)) + len(figures.FIGURE.findall(text))
     assert figures.refreshed(text) == text, "python -m tools.figures writes the measured figures"
@@ -102,11 +102,11 @@ TIME = re.compile(
     r"(?:ns|µs|ms|s|seconds?|minutes?|hours?)\b"
 )
 STEPS = {"1 ms", "2 ms"}
-"""Lengths of steps, which nothing measures."""
+"""Step sizes, which are not measured."""
 
 
 def times_in_sentences(text: str) -> set[str]:
-    """Return the times in the sentences of a page that no mark binds to a row of docs/figures."""
+    """Return the times in sentences of a page without a mark that refers to a row of docs/figures."""
     for bound in (figures.FIGURE, figures.TABLE, pages.FENCE, re.compile(r"`[^`\n]*`|\$[^$]+\$")):
         text = bound.sub("", text)
     return {" ".join(found.split()) for found in TIME.findall(text)} - STEPS
@@ -118,7 +118,7 @@ def test_run_times_in_sentences_are_measured(page: Path) -> None:
     assert times_in_sentences(text) == set(), "give the row of docs/figures that has it"
 
 
-def test_a_time_that_nothing_measures_is_noticed() -> None:
+def test_times_without_measurement_are_detected() -> None:
     text = (
         "It takes <!-- speed: impact, ur5, mean -->3.8 µs<!-- end -->, or five\nseconds, in steps of `1 s`."
     )
@@ -126,7 +126,7 @@ def test_a_time_that_nothing_measures_is_noticed() -> None:
 
 
 def words_of(command: str) -> list[str]:
-    """Return the words of a command after variables that it sets."""
+    """Return the words of a command without leading assignments of variables."""
     words = shlex.split(command, comments=True)
     while words and "=" in words[0] and not words[0].startswith("-"):
         words.pop(0)
@@ -134,7 +134,7 @@ def words_of(command: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", having("sh"), ids=name_of)
-def test_shell_commands_call_what_exists(page: Path) -> None:
+def test_commands_in_shell_blocks_exist(page: Path) -> None:
     lines = "".join(block.text for block in pages.blocks_of(page) if block.language == "sh").splitlines()
     for command in (part for line in lines for part in line.split("&&")):
         if not (words := words_of(command)):
@@ -156,7 +156,7 @@ def test_shell_commands_call_what_exists(page: Path) -> None:
             assert tool in {"pinimpact", "venv", ".ci/run", "pre-commit", *OTHER_TOOLS}, command
 
 
-def test_every_public_name_has_its_place_in_the_reference() -> None:
+def test_public_names_are_in_the_api_reference() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
     shown = re.findall(r"^::: pinimpact\.(\w+)$", text, re.MULTILINE)
     assert sorted(shown) == sorted(pinimpact.__all__)
@@ -166,7 +166,7 @@ def test_every_public_name_has_its_place_in_the_reference() -> None:
     assert sorted(studies) == sorted(pinimpact.studies.__all__)
 
 
-def test_what_the_reference_shows_can_be_imported_as_written() -> None:
+def test_names_of_the_api_reference_can_be_imported() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
     for name in re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE):
         module, _, last = name.rpartition(".")
@@ -174,7 +174,7 @@ def test_what_the_reference_shows_can_be_imported_as_written() -> None:
         assert shown.__doc__ or not callable(shown), name
 
 
-def test_every_page_is_in_the_menu() -> None:
+def test_pages_are_in_the_menu() -> None:
     menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     for page in DOCS.rglob("*.md"):
         assert f": {page.relative_to(DOCS).as_posix()}\n" in menu, page
@@ -185,18 +185,18 @@ def test_files_of_the_architecture_exist() -> None:
     package = ROOT / "src" / "pinimpact"
     named = re.findall(r"`((?:[\w.]+/)*\w+\.py|\w[\w/]*/)`", text)
     assert len(named) > 50
-    places = package, ROOT, package / "contact_space" / "_kernels"  # that of the table of moves
+    places = package, ROOT, package / "contact_space" / "_kernels"  # for the table of moves
     assert [name for name in named if not any((place / name).exists() for place in places)] == []
     folders = {path.parent.name for path in package.glob("*/__init__.py")}
     assert folders <= {name.strip("/") for name in named}
 
 
-def test_every_picture_is_shown() -> None:
+def test_pictures_are_shown() -> None:
     shown = {picture for page in pages.pages() for picture in pages.pictures_of(page)}
     assert {path.name for path in pages.PICTURES.iterdir()} == shown
 
 
-def test_the_keys_of_scene_files_are_those_of_the_schema() -> None:
+def test_documented_keys_of_scene_files_agree_with_the_schema() -> None:
     text = scene_keys.PAGE.read_text(encoding="utf-8")
     assert scene_keys.page(text) == text, "python -m tools.scene_keys writes the tables"
     schema = SceneFile.model_json_schema()
@@ -214,7 +214,7 @@ def test_the_keys_of_scene_files_are_those_of_the_schema() -> None:
             assert "**required**" in rows[key]
 
 
-def test_every_example_is_listed() -> None:
+def test_examples_are_listed() -> None:
     text = (DOCS / "examples.md").read_text(encoding="utf-8")
     for folder, kind in (("", "*.py"), ("notebooks/", "*.ipynb")):
         for path in (ROOT / "examples" / folder).glob(kind):
@@ -229,7 +229,7 @@ def test_code_is_no_wider_than_a_page(page: Path) -> None:
             assert all(len(line) <= 100 for line in block.text.splitlines()), block
 
 
-def test_every_effect_of_a_scene_is_told() -> None:
+def test_effects_of_scenes_are_documented() -> None:
     text = (DOCS / "effects.md").read_text(encoding="utf-8")
     table = text.split("| effect |")[1].split("\n\n")[0]
     assert tuple(re.findall(r"^\| ([a-z][a-z -]+) \|", table, re.MULTILINE)) == SWITCHABLE + DERIVED

@@ -1,4 +1,4 @@
-"""The equations of the pages: they are numbered as cited, typeset without error, and nothing is fetched."""
+"""Equations of the pages: cited numbers exist, formulas are typeset without error, nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from tools import pages
 ROOT, DOCS = pages.ROOT, pages.DOCS
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LOADED = {"script": "src", "img": "src", "source": "src", "video": "src", "iframe": "src"}
-"""Attributes by which an element loads a file; `link` does by `href` for some values of `rel`."""
+"""Attributes by which elements load a file; `link` does so by `href` for some values of `rel`."""
 URL = re.compile(r"(?:url\(|@import)\s*['\"]?((?:https?:)?//[^'\")]+)")
 
 SECTIONS = 16
 CITED = re.compile(r"(?<![\w\])])\((\d{1,2}\.\d{1,2}(?:(?:, | and |–)\(?\d{1,2}\.\d{1,2}\)?)*)\)?")
-"""Numbers of equations in parentheses, (3.7) or (10.1)–(10.5), that follow no name of a function."""
+"""Numbers of equations in parentheses, (3.7) or (10.1)–(10.5), not after the name of a function."""
 
 
 class Loaded(HTMLParser):
-    """Collect what a page loads, and count its formulas."""
+    """Collect the URLs that a page loads, and count its formulas."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class Loaded(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Take one element."""
+        """Process the start of an element."""
         values = {key: value or "" for key, value in attrs}
         if tag in LOADED:
             self.urls.append(values.get(LOADED[tag], ""))
@@ -48,7 +48,7 @@ class Loaded(HTMLParser):
 
 
 def numbers_of(text: str) -> set[str]:
-    """Return the numbers that a text cites as equations."""
+    """Return the numbers of equations that a text cites."""
     found = {number for cited in CITED.findall(text) for number in re.findall(r"\d+\.\d+", cited)}
     return {number for number in found if 1 <= int(number.split(".")[0]) <= SECTIONS}
 
@@ -68,7 +68,7 @@ def prose_of(path: Path) -> str:
     return "\n".join([*strings, *comments])
 
 
-def test_every_equation_that_is_cited_exists() -> None:
+def test_cited_equations_exist() -> None:
     theory = (DOCS / "theory.md").read_text(encoding="utf-8")
     tags = re.findall(r"\\tag\{([\d.]+)\}", theory)
     assert len(tags) == len(set(tags)) > 90
@@ -79,7 +79,7 @@ def test_every_equation_that_is_cited_exists() -> None:
     assert missing == {}
 
 
-def test_every_equation_of_derivatives_that_is_cited_exists_once() -> None:
+def test_cited_equations_of_derivatives_exist_once() -> None:
     page = (DOCS / "derivatives.md").read_text(encoding="utf-8")
     tags = re.findall(r"\\tag\{(D\d+)\}", page)
     assert len(tags) == len(set(tags)) > 30
@@ -88,7 +88,7 @@ def test_every_equation_of_derivatives_that_is_cited_exists_once() -> None:
     assert {number for number in cited if int(number[1:]) >= 3} <= set(tags)
 
 
-def test_equations_stand_in_their_sections_in_order_of_sections() -> None:
+def test_equations_are_in_their_sections() -> None:
     theory = (DOCS / "theory.md").read_text(encoding="utf-8")
     sections = re.split(r"^## (\d+)\. ", theory, flags=re.MULTILINE)[1:]
     assert [int(number) for number in sections[::2]] == list(range(1, SECTIONS + 1))
@@ -96,7 +96,7 @@ def test_equations_stand_in_their_sections_in_order_of_sections() -> None:
         assert {tag.split(".")[0] for tag in re.findall(r"\\tag\{([\d.]+)\}", text)} <= {number}
 
 
-def test_every_section_that_is_cited_exists() -> None:
+def test_cited_sections_exist() -> None:
     theory = (DOCS / "theory.md").read_text(encoding="utf-8")
     headings = set(re.findall(r"^###? (\d+(?:\.\d+)?)\.? ", theory, re.MULTILINE))
     cited: set[str] = set()
@@ -137,19 +137,17 @@ NUMBERS = [
     (jam_growth.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
     (progress.GAINED, 10.0, r"$10\,(\mathrm{rtol} + \mathrm{atol}/|v|)$ of the kinetic energy"),
 ]
-"""Constants of the code, and where the theory page gives them."""
+"""Constants of the code, and their places in the theory page."""
 
 
 @pytest.mark.parametrize(("constant", "written", "sentence"), NUMBERS)
-def test_constants_of_the_theory_are_those_of_the_code(
-    constant: float, written: float, sentence: str
-) -> None:
+def test_constants_of_theory_and_code_agree(constant: float, written: float, sentence: str) -> None:
     text = " ".join((DOCS / "theory.md").read_text(encoding="utf-8").split())
     assert constant == written
     assert sentence in text
 
 
-def test_terms_of_the_glossary_are_in_order_and_have_links() -> None:
+def test_glossary_is_sorted_with_links() -> None:
     text = (DOCS / "glossary.md").read_text(encoding="utf-8")
     entries = re.findall(r"^(\S.*)\n:   ((?:.+\n)+)", text, re.MULTILINE)
     terms = [term.lower() for term, _ in entries]
@@ -180,7 +178,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
+def test_site_loads_no_external_files(site: Path) -> None:
     found = [
         (path.relative_to(site).as_posix(), url)
         for path in site.rglob("*.html")
@@ -196,7 +194,7 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_file_of_a_style_sheet_is_served(site: Path) -> None:
+def test_files_of_style_sheets_are_in_the_site(site: Path) -> None:
     sheet = site / "katex" / "katex.min.css"
     fonts = re.findall(r"url\(([^)]+)\)", sheet.read_text(encoding="utf-8"))
     assert len(fonts) == len(list((sheet.parent / "fonts").iterdir())) > 0
@@ -205,7 +203,7 @@ def test_every_file_of_a_style_sheet_is_served(site: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_every_formula_is_typeset(site: Path, tmp_path: Path) -> None:
+def test_formulas_are_typeset(site: Path, tmp_path: Path) -> None:
     with_formulas = {
         path: count
         for path in site.rglob("*.html")
@@ -220,7 +218,7 @@ def test_every_formula_is_typeset(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_a_formula_with_an_error_is_noticed(site: Path, tmp_path: Path) -> None:
+def test_error_in_a_formula_is_detected(site: Path, tmp_path: Path) -> None:
     page = site / "theory" / "broken.html"
     text = (site / "theory" / "index.html").read_text(encoding="utf-8")
     wrong = '<span class="arithmatex">\\(\\nosuchcommand{1}\\)</span></article>'
@@ -243,12 +241,12 @@ window.addEventListener("load", () => {
   document.body.innerHTML = "<pre id=overlaps>" + found.join("\\n") + "</pre>";
 });
 </script></body>"""
-"""Leaves the formulas of a page that are too wide for it."""
+"""Script that replaces a page by its formulas that are too wide."""
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_no_formula_runs_into_its_number(site: Path, tmp_path: Path) -> None:
+def test_formulas_do_not_overlap_their_numbers(site: Path, tmp_path: Path) -> None:
     wide = r"<div class='arithmatex'>\[" + "x+" * 80 + r"x \tag{0}\]</div></article>"
     text = (site / "theory" / "index.html").read_text(encoding="utf-8").replace("</body>", OVERLAPS)
     for page, too_wide in ((text, 0), (text.replace("</article>", wide), 1)):
@@ -261,7 +259,7 @@ def test_no_formula_runs_into_its_number(site: Path, tmp_path: Path) -> None:
 
 
 def rendered(page: Path, profile: Path) -> str:
-    """Return the document of a page after its scripts have run, in a browser with a profile of its own."""
+    """Return the document of a page after its scripts have run, in a browser with a separate profile."""
     options = [
         "--headless",
         "--no-sandbox",

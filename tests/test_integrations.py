@@ -1,4 +1,4 @@
-"""Impacts as functions of other libraries: derivatives against differences, transformations, errors."""
+"""Impacts as functions of JAX and PyTorch: gradients, transformations, errors."""
 
 import builtins
 import sys
@@ -37,7 +37,7 @@ def _functions(library):
 
 
 def _gradient(library, function, *arrays):
-    """Return the gradients of a sum of weighted outputs by all arguments."""
+    """Return the gradients of a scalar function by all arguments."""
     if library == "jax":
         found = jax.grad(lambda *given: function(*given), argnums=tuple(range(len(arrays))))(
             *map(jnp.asarray, arrays)
@@ -69,7 +69,7 @@ def _problems(count, seed):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @pytest.mark.parametrize("law", ["newton", "poisson", "energetic"])
-def test_gradients_in_contact_space_are_those_of_differences(library, law):
+def test_gradients_in_contact_space_against_difference_quotients(library, law):
     functions = _functions(library)
     arrays = _problems(6, 3)
     rng = np.random.default_rng(4)
@@ -103,7 +103,7 @@ def quadruped():
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
-def test_gradients_of_a_robot_follow_its_coordinates(library, quadruped):
+def test_gradients_of_impact_of_robot(library, quadruped):
     model, data, q, foot = quadruped
     functions = _functions(library)
     contact = Contact(foot, Plane(), friction=0.4, restitution=0.3)
@@ -131,11 +131,11 @@ def test_gradients_of_a_robot_follow_its_coordinates(library, quadruped):
     ends = [pin.integrate(model, q, s * h * tangent) for s in (1, -1)]
     expected = (loss(ends[0], *arrays[1:]) - loss(ends[1], *arrays[1:])) / (2 * h)
     assert gradients[0] @ ((ends[0] - ends[1]) / (2 * h)) == pytest.approx(expected, rel=1e-6, abs=1e-6)
-    assert gradients[0][3:7] @ q[3:7] == pytest.approx(0.0, abs=1e-9)  # along the quaternion nothing changes
+    assert gradients[0][3:7] @ q[3:7] == pytest.approx(0.0, abs=1e-9)  # by its norm
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
-def test_arrays_of_an_accelerator_stay_there(library):
+def test_results_are_on_the_device_of_the_arguments(library):
     gpu = torch.cuda.is_available() if library == "torch" else jax.default_backend() == "gpu"
     if not gpu:
         pytest.skip("no accelerator")
@@ -182,7 +182,7 @@ def test_jax_maps_one_argument_over_rows_of_another(count):
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
-def test_rows_without_solution_are_nan_and_leave_others_alone(library):
+def test_rows_without_solution_are_nan_and_do_not_affect_others(library):
     functions = _functions(library)
     w, v, mu, e = _problems(2, 5)
     w[1] = np.nan
@@ -193,7 +193,7 @@ def test_rows_without_solution_are_nan_and_leave_others_alone(library):
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
-def test_a_function_of_the_approach_speed_keeps_its_slope(library, quadruped):
+def test_restitution_as_a_function_of_speed(library, quadruped):
     model, data, q, foot = quadruped
 
     class Falling:
@@ -228,7 +228,7 @@ def test_bad_input_is_named(library, quadruped):
 
 
 @pytest.mark.parametrize("library", ["jax", "torch"])
-def test_a_library_that_is_missing_is_named(library, monkeypatch):
+def test_missing_library_is_named(library, monkeypatch):
     imported = builtins.__import__
 
     def refuse(name, *rest):

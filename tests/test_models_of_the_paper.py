@@ -1,4 +1,4 @@
-"""The bundled models against matrices derived from the motion of their material points."""
+"""Bundled models against matrices derived from the motion of material points."""
 
 import numpy as np
 import pinocchio as pin
@@ -17,14 +17,14 @@ relaxed = examples(40)
 
 
 def derivative(position, q):
-    """∂position/∂q (3, n) by complex steps, exact to rounding."""
+    """Return ∂position/∂q (3, n) by complex steps, exact to rounding."""
     step = 1e-40
     return np.column_stack([np.imag(position(q + 1j * step * unit)) / step for unit in np.eye(len(q))])
 
 
 def rod_mass(points, q):
-    """M of a slender uniform rod of unit mass, the mean over s ∈ [0, 1] of (∂r/∂q)ᵀ(∂r/∂q)."""
-    nodes, weights = leggauss(2)  # exact: the integrand is a quadratic in s
+    """Return M of a slender uniform rod of unit mass, the mean over s ∈ [0, 1] of (∂r/∂q)ᵀ(∂r/∂q)."""
+    nodes, weights = leggauss(2)  # exact for the quadratic integrand
     return sum(
         0.5 * weight * jacobian.T @ jacobian
         for node, weight in zip(nodes, weights, strict=True)
@@ -33,14 +33,14 @@ def rod_mass(points, q):
 
 
 def rod_points(q, s):
-    """Zhao and Liu, 4.2: from the far end (s = 0) to the end that touches (s = 1); l = 1."""
+    """Return a point of the rod of Zhao and Liu, 4.2, from the free end (s = 0) to the tip (s = 1); l = 1."""
     x, y, z, psi, theta = q
     along = np.array([np.sin(psi) * np.cos(theta), -np.cos(psi) * np.cos(theta), -np.sin(theta)])
     return np.array([x, y, z]) + (2 * s - 1) * along
 
 
 def pendulum_points(q, s):
-    """Zhao and Liu, 4.3: from the pivot to the end; l = 1."""
+    """Return a point of the pendulum of Zhao and Liu, 4.3, from the pivot to the tip; l = 1."""
     psi, theta = q
     return s * np.array([np.cos(psi) * np.cos(theta), np.sin(psi) * np.cos(theta), -np.sin(theta)])
 
@@ -147,7 +147,7 @@ def test_ellipsoid_has_the_corrected_matrices_of_section_4_1():
     assert np.abs(matrices.delassus - np.diag([2, 3.5, 1])).max() < 1e-15
 
 
-def test_the_ellipsoid_shows_spheres_inside_it_that_reach_its_long_ends():
+def test_visual_spheres_of_ellipsoid_are_inside_it_and_reach_its_ends():
     shapes = pinimpact.load_robot("ellipsoid").visual_model.geometryObjects
     spheres = [(shape.placement.translation[0], shape.geometry.radius) for shape in shapes]
     angles = np.linspace(0, 2 * np.pi, 400)
@@ -159,7 +159,7 @@ def test_the_ellipsoid_shows_spheres_inside_it_that_reach_its_long_ends():
 
 
 @pytest.mark.parametrize("name", bundled_models())
-def test_every_bundled_model_shows_its_links_and_has_a_tip(name):
+def test_bundled_models_have_visual_shapes_and_a_tip(name):
     robot = pinimpact.load_robot(name)
     assert robot.visual_model.ngeoms >= 1
     assert robot.model.existFrame("tip")

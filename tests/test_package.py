@@ -1,4 +1,4 @@
-"""What is installed, and what an import costs."""
+"""The package: imports, sizes of modules, wheel, metadata and versions."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def modules_after(statements: str) -> set[str]:
     return set(out.stdout.split())
 
 
-def test_import_loads_nothing_heavy() -> None:
+def test_import_loads_no_heavy_modules() -> None:
     loaded = modules_after("import pinimpact")
     assert not loaded & {"numba", "scipy", "matplotlib", "meshcat", "pinocchio", "pydantic", "rich", "click"}
 
 
-def test_the_command_line_starts_light() -> None:
+def test_command_line_loads_no_heavy_modules() -> None:
     loaded = modules_after("import pinimpact.app.cli")
     assert not loaded & {"numba", "scipy", "matplotlib", "meshcat", "pinocchio", "pydantic"}
 
 
-def test_an_impact_draws_nothing() -> None:
+def test_impact_does_not_load_plots() -> None:
     loaded = modules_after(
         "import numpy, pinimpact as p; p.solve_impact(p.ImpactProblem(numpy.eye(3), (1, 0, -1), 0.1, 0.5))"
     )
     assert not loaded & {"matplotlib", "meshcat", "pinocchio", "pydantic", "rich"}
 
 
-def test_pictures_are_reached_after_a_plain_import() -> None:
+def test_plots_are_accessible_after_import() -> None:
     loaded = modules_after("import pinimpact; pinimpact.visual.plots.impact_figure; pinimpact.replay")
     assert "pinimpact.visual.plots" in loaded
     assert not loaded & {"matplotlib", "meshcat"}
@@ -69,13 +69,13 @@ def test_functions_and_modules_are_short() -> None:
     assert longer == []
 
 
-def test_every_public_name_resolves() -> None:
+def test_public_names_resolve() -> None:
     assert sorted(pinimpact.__all__) == sorted(set(pinimpact.__all__))
     for name in pinimpact.__all__:
         assert getattr(pinimpact, name) is not None
 
 
-def test_no_module_bears_the_name_of_a_public_function() -> None:
+def test_no_module_has_the_name_of_a_public_function() -> None:
     modules = {path.stem for path in (ROOT / "src" / "pinimpact").rglob("*.py")}
     assert not modules & set(pinimpact.__all__)
 
@@ -90,7 +90,7 @@ def built(tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_wheel_holds_types_models_and_scenes(built: Path) -> None:
+def test_wheel_contains_types_models_and_scenes(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     assert "pinimpact/py.typed" in names
@@ -103,7 +103,7 @@ def test_the_wheel_holds_types_models_and_scenes(built: Path) -> None:
     assert all(name.startswith(("pinimpact/", "pinimpact-")) for name in names)
 
 
-def test_the_source_distribution_holds_what_its_tests_need(built: Path) -> None:
+def test_source_distribution_contains_files_of_tests(built: Path) -> None:
     (archive,) = built.glob("*.tar.gz")
     with tarfile.open(archive) as packed:
         names = {name.partition("/")[2] for name in packed.getnames()}
@@ -113,7 +113,7 @@ def test_the_source_distribution_holds_what_its_tests_need(built: Path) -> None:
     assert {"mkdocs.yml", "tools/pages.py", "examples/arm.urdf", "pyproject.toml"} <= names
 
 
-def test_the_metadata_is_complete(built: Path) -> None:
+def test_metadata_is_complete(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         (path,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
@@ -139,7 +139,7 @@ def test_versions_agree() -> None:
     assert f'"{newest}"' in workflow
 
 
-def test_the_oldest_versions_that_are_tested_are_those_that_are_asked_for() -> None:
+def test_oldest_tested_versions_are_the_required_ones() -> None:
     workflow = (ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
     for name in ("pin", "numba", "numpy"):
         asked = re.search(rf'"{name}>=([\d.]+)"', PYPROJECT)

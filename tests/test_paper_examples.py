@@ -1,4 +1,4 @@
-"""The paper's examples from their URDF models: reference answers, closed forms, Euler's first order."""
+"""Examples of the paper by URDF models: reference solutions, closed forms, first order of "euler"."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ pendulum 2.0 0 0 0 0.136568080003 -0.235702260396 0.334836440788 0.186020244882 
 
 
 def row_of(line):
-    """Return a line of the table as problem, μ, two vectors, two numbers, None for none, and a word."""
+    """Return problem, μ, v⁺, P, compression impulse, P₃ at the end of slip or None, and the mode after it."""
     name, mu, *numbers, compression, vanishes, then = line.split()
     vectors = np.array(numbers, dtype=float).reshape(2, 3)
     stop = None if vanishes == "-" else float(vanishes)
@@ -61,7 +61,7 @@ RESTITUTION = {"ellipsoid": 0.5, "rod": 0.8, "pendulum": 0.8}
 
 
 def from_urdf(problem, mu, **options):
-    """The impact of a bundled model, started so that its tip has the paper's velocity."""
+    """Return the impact of a bundled model whose tip has the velocity of the paper."""
     body, (x, y, z) = problem
     if body == "ellipsoid":
         robot, q, v = pinimpact.load_robot("ellipsoid"), None, np.array([x, y, z, 0, 0, 0])
@@ -79,7 +79,7 @@ def row_name(row):
 
 
 @pytest.mark.parametrize("row", REFERENCE, ids=row_name)
-def test_reference_answers(row):
+def test_reference_solutions(row):
     problem, mu, velocity, impulse, compression, vanishes, then = row
     solution = from_urdf(problem, mu).solution
     assert np.abs(solution.velocity - velocity).max() < 2e-12
@@ -96,7 +96,7 @@ def test_reference_answers(row):
 
 
 @pytest.mark.parametrize("row", [row for row in REFERENCE if row[1] > 0.0], ids=row_name)
-def test_euler_reaches_them_at_first_order(row):
+def test_euler_is_of_first_order_for_reference_solutions(row):
     problem, mu, velocity, impulse, _, vanishes, _ = row
     exact = np.array([*velocity, *impulse])
 
@@ -109,8 +109,8 @@ def test_euler_reaches_them_at_first_order(row):
     assert errors[-1] < 2e-4
     if vanishes is None:
         assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(1, abs=0.02)
-    elif errors.max() > 1e-9:  # else slip is straight, and Euler makes no error at all
-        scaled = errors * steps  # where the slip stops within a step makes it flutter
+    elif errors.max() > 1e-9:  # else slip is straight, and steps have no error
+        scaled = errors * steps  # depends on where in a step slip stops
         assert scaled.max() < 6 * scaled.min()
 
 
@@ -124,7 +124,7 @@ def test_ellipsoid_follows_equations_32_and_33(mu):
     assert v3[-1] == pytest.approx(0.5, abs=1e-14)  # (33), corrected: −e v₃ᵒ
 
 
-def test_rod_slips_straight_at_mu_c_and_turns_to_either_side_of_it():
+def test_slip_of_rod_is_straight_at_mu_c_only():
     def last_direction_before_rest(mu):
         path = from_urdf(PROBLEMS["right"], mu, record=True).solution.path
         moving = np.hypot(*path.velocity[:, :2].T) > 1e-3
@@ -143,7 +143,7 @@ def test_rod_sticks_above_mu_st(factor, sticks):
     assert (pinimpact.Flag.SLIP_RESUMED in flags) is not sticks
 
 
-def test_pendulum_slips_straight_at_mu_c():
+def test_slip_of_pendulum_is_straight_at_mu_c():
     mu_c = tan(pi / 4) / (1 / sqrt(2))  # (41), corrected: tan θ / |cos φ₀|
     path = from_urdf(PROBLEMS["pendulum"], mu_c, record=True).solution.path
     assert np.abs(path.velocity[:, 0] + path.velocity[:, 1]).max() < 1e-14
@@ -155,7 +155,7 @@ def test_pendulum_sticks_above_mu_st(theta, factor, sticks):
     robot = pinimpact.load_robot("spherical_pendulum")
     mu = factor / tan(theta)  # (42)
     contact = pinimpact.Contact("tip", pinimpact.Plane(), friction=mu, restitution=0.8)
-    v = np.array([0.0, 1.0])  # slides along −x, in the plane of the pendulum: v_t vanishes with v₃
+    v = np.array([0.0, 1.0])  # slip along −x in the plane of the pendulum, so v_t vanishes with v₃
     hit = pinimpact.impact(robot.model, robot.data, np.array([0, theta]), v, contact)
     assert (hit.solution.status == pinimpact.Status.LOCKED) is sticks
     if not sticks:

@@ -1,4 +1,7 @@
-"""What is read in place of Pinocchio's results, against its documented calls, and the way without it."""
+"""Direct access to Pinocchio's memory against its documented calls, and the fallback by copies.
+
+The random states depend on the names of the tests.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ def rng(request):
 
 @pytest.fixture(params=["in place", "copied"])
 def way(request, monkeypatch):
-    """Either way to Pinocchio's results; a warning tells of the second."""
+    """Access to Pinocchio's results, in place or by copies."""
     if request.param == "copied":
         monkeypatch.setattr(bridge, "trusted", lambda *_: False)
     return request.param
@@ -43,7 +46,7 @@ def way(request, monkeypatch):
 
 @pytest.fixture
 def other_version(monkeypatch):
-    """A Pinocchio whose forward dynamics leave no Jacobian behind."""
+    """Simulate a version of Pinocchio whose forward dynamics do not fill the Jacobians."""
 
     def aba(model, data, *arguments):
         found = pin.aba(model, data, *arguments)
@@ -51,7 +54,7 @@ def other_version(monkeypatch):
         return found
 
     class Other:
-        """The module with another function."""
+        """Pinocchio with another `aba`."""
 
         def __getattr__(self, name):
             return aba if name == "aba" else getattr(pin, name)
@@ -97,12 +100,12 @@ def test_the_arrays_hold_what_documented_calls_give(name, way, rng):
         step = robot.forward_kinematics
         step.function(*step.arguments)
         assert np.abs(robot.local_velocities - [motion.vector for motion in data.v]).max() < 1e-12
-        assert arrays == (robot.placements, robot.velocities, robot.minverse)  # kernels hold these
+        assert arrays == (robot.placements, robot.velocities, robot.minverse)  # kernels hold them
     assert robot.joint_jacobian.flags.f_contiguous
     assert robot.minverse.flags.c_contiguous
 
 
-def test_the_arrays_outlive_the_model_and_all_goes_with_them(way):
+def test_arrays_outlive_the_model_without_leaks(way):
     model = cases.load("panda")[0]
     robot, gone = bridge.robot_dynamics(model), weakref.ref(model)
     del model
@@ -132,7 +135,7 @@ def test_impacts_are_the_same_either_way(rng, monkeypatch):
             assert np.abs(many.v[0] - other.v).max() == 0.0
 
 
-def test_a_scene_is_the_same_either_way(way):
+def test_scene_with_either_access(way):
     e, height = 0.5, 0.5
     scene = Scene(ball(), [Contact("center", FLOOR, friction=0.3, restitution=e, radius=0.1)])
     trajectory = simulate(scene, [0, 0, 0.1 + height, *UP], np.zeros(6), 1.5)
@@ -181,7 +184,7 @@ def test_another_version_is_found_out_said_once_and_answered_alike(other_version
     q, v = cases.random_state(scene.model, rng)
     with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"joint_jacobian after aba"):
         trajectory = simulate(scene, q, v, 0.01)
-    simulate(Scene(cases.load("ur5")[0]), np.zeros(6), np.ones(6), 0.01)  # once is enough
+    simulate(Scene(cases.load("ur5")[0]), np.zeros(6), np.ones(6), 0.01)  # no second warning
     assert trajectory.energy.residual[-1] == pytest.approx(0.0, abs=1e-6)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bridge, "pin", pin)
@@ -191,8 +194,8 @@ def test_another_version_is_found_out_said_once_and_answered_alike(other_version
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_the_unit_of_length_does_not_matter(unit):
-    """The model of a robot of metres, in other units."""
+def test_checks_in_other_units_of_length(unit):
+    """The lengths of a model in metres are scaled."""
     model = cases.load("panda")[0].copy()
     model.gravity.linear = unit * model.gravity.linear
     for place in model.jointPlacements:
@@ -201,7 +204,7 @@ def test_the_unit_of_length_does_not_matter(unit):
     assert tree_numbers.disagreement_of_tree(model) is None
 
 
-def test_what_stands_elsewhere_in_memory_is_not_read(monkeypatch):
+def test_other_memory_layout_is_detected(monkeypatch):
     model = cases.load("panda")[0]
     monkeypatch.setattr(bridge, "_verdicts", {})
     monkeypatch.setattr(bridge, "_warned", False)
@@ -211,7 +214,7 @@ def test_what_stands_elsewhere_in_memory_is_not_read(monkeypatch):
         assert type(bridge.robot_dynamics(model)) is bridge._Copied
 
 
-def test_the_check_is_made_once_for_a_model_and_again_when_it_grows(monkeypatch):
+def test_model_is_checked_once_and_again_after_joints_are_added(monkeypatch):
     checked = []
     monkeypatch.setattr(bridge, "_verdicts", {})
     known = tree_numbers.disagreement_of_tree
@@ -237,23 +240,23 @@ def test_the_check_is_made_once_for_a_model_and_again_when_it_grows(monkeypatch)
     assert checked == [7, 8]
 
 
-# ---- errors of what kernels call
+# ---- errors in calls from kernels
 
 
 @numba.njit
 def calls(function, arguments):
-    """Call from compiled code."""
+    """Call a function by address from compiled code."""
     return call(function, arguments)
 
 
 def called(function, *arguments):
-    """Call by address; raise what the call has raised."""
+    """Call a Python function from a kernel, and raise its error."""
     step = bridge.Call(function, arguments)
     addresses = bridge.call_addresses([step])
     assert calls(*addresses) or raise_kept_error() or pytest.fail("an error was lost")
 
 
-def test_an_error_in_a_call_from_a_kernel_is_kept_whole():
+def test_error_in_call_from_kernel_is_raised_with_its_traceback():
     def fail(value):
         raise LookupError(value)
 
@@ -261,11 +264,11 @@ def test_an_error_in_a_call_from_a_kernel_is_kept_whole():
         raise KeyboardInterrupt
 
     called(list, (1, 2))
-    raise_kept_error()  # nothing is kept
+    raise_kept_error()  # no error
     with pytest.raises(LookupError, match="lost") as caught:
         called(fail, "lost")
     assert caught.traceback[-1].name == "fail"
-    raise_kept_error()  # nor any more
+    raise_kept_error()  # no error any more
     with pytest.raises(KeyboardInterrupt):
         called(interrupt)
     model = cases.load("panda")[0]
@@ -275,7 +278,7 @@ def test_an_error_in_a_call_from_a_kernel_is_kept_whole():
 
 def test_kept_errors_are_released():
     class LostError(Exception):
-        """An error that can be watched."""
+        """Error of Python, to which there are weak references."""
 
     def fail():
         error = LostError()
@@ -285,7 +288,7 @@ def test_kept_errors_are_released():
     seen = []
     step = bridge.Call(fail, ())
     addresses = bridge.call_addresses([step])
-    for _ in range(2):  # the first is never asked for
+    for _ in range(2):  # the first error is never raised
         assert not calls(*addresses)
     with pytest.raises(LostError):
         raise_kept_error()
@@ -293,7 +296,7 @@ def test_kept_errors_are_released():
     assert [error() for error in seen] == [None, None]
 
 
-def test_an_error_inside_pinocchio_is_the_one_that_is_seen(monkeypatch):
+def test_error_inside_pinocchio_is_raised(monkeypatch):
     def broken(*_):
         raise MemoryError("no room")
 
@@ -309,7 +312,7 @@ def test_an_error_inside_pinocchio_is_the_one_that_is_seen(monkeypatch):
         simulate(Scene(pendulum()), [1.0], [0.0], 1.0)
 
 
-def test_an_error_in_progress_is_not_the_controls():
+def test_error_of_progress_function_is_not_attributed_to_control():
     def progress(t, duration):
         raise ZeroDivisionError("progress")
 
@@ -317,7 +320,7 @@ def test_an_error_in_progress_is_not_the_controls():
         simulate(Scene(pendulum()), [1.0], [0.0], 1.0, progress=progress)
 
 
-def test_an_interrupt_in_the_control_ends_the_run_gently():
+def test_interrupt_in_control_ends_the_run_with_a_partial_trajectory():
     def control(t, q, v):
         if t > 0.5:
             raise KeyboardInterrupt
@@ -329,30 +332,30 @@ def test_an_interrupt_in_the_control_ends_the_run_gently():
     assert 0.3 <= trajectory.duration <= 0.5
 
 
-def test_an_error_of_the_control_is_told_with_its_cause():
+def test_error_of_control_is_the_cause_of_the_raised_one():
     with pytest.raises(pinimpact.SimulationError, match=r"control: KeyError at t = 0 s") as caught:
         simulate(Scene(pendulum(), control=lambda *_: {}["torque"]), [1.0], [0.0], 1.0)
     assert isinstance(caught.value.__cause__, KeyError)
 
 
-def test_a_massless_joint_in_a_scene_is_named_as_in_an_impact():
+def test_massless_joint_is_named_in_scenes_and_impacts():
     model = pendulum()
     model.addJoint(1, pin.JointModelRX(), pin.SE3.Identity(), "bare")
     q, v = np.zeros(2), np.zeros(2)
-    told = r"joint 'bare' \(velocity 1\) moves no inertia"
-    with pytest.raises(pinimpact.ModelError, match=told):
+    message = r"joint 'bare' \(velocity 1\) moves no inertia"
+    with pytest.raises(pinimpact.ModelError, match=message):
         pinimpact.impact(model, model.createData(), q, v, Contact("tip", FLOOR))
-    with pytest.raises(pinimpact.ModelError, match=told):
+    with pytest.raises(pinimpact.ModelError, match=message):
         simulate(Scene(model, [Contact("tip", Plane(point=(0, 0, -2.0)))]), q, v, 1.0)
 
 
-def test_what_has_no_forward_dynamics_is_told():
+def test_scene_without_joints_raises():
     with pytest.raises(pinimpact.ModelError, match="no joints"):
         simulate(Scene(pin.Model()), np.zeros(0), np.zeros(0), 1.0)
 
 
 def two_arms(order):
-    """A body with two arms of two joints, their joints added in the order given."""
+    """Return a body with two arms of two joints, which are added in the given order."""
     model, index = pin.Model(), {"": 0}
     for name in order:
         joint, above = pin.JointModelRY(), index[name[:-1]]
@@ -363,7 +366,7 @@ def two_arms(order):
     return model
 
 
-def test_the_order_of_joints_is_named_where_it_makes_the_mass_matrix_indefinite():
+def test_joint_order_that_makes_the_mass_matrix_indefinite_raises():
     model, right = pin.Model(), pin.SE3(np.eye(3), np.array([0.3, 0.1, 0.2]))
     kinds = pin.JointModelSpherical(), pin.JointModelRX(), pin.JointModelRX(), pin.JointModelPlanar()
     for k, (parent, joint) in enumerate(zip((0, 0, 2, 1), kinds, strict=True)):
@@ -372,15 +375,15 @@ def test_the_order_of_joints_is_named_where_it_makes_the_mass_matrix_indefinite(
         model.appendBodyToJoint(index, pin.Inertia.FromBox(1.0, 0.1, 0.2, 0.5), body)
     q = pin.neutral(model)
     mass = pin.crba(model, model.createData(), q)
-    assert np.linalg.eigvalsh(mass, "U")[0] < 0.0  # of bodies that all have inertia
+    assert np.linalg.eigvalsh(mass, "U")[0] < 0.0  # although all bodies have inertia
     with pytest.raises(pinimpact.ModelError, match="'joint3' apart from the other joints below 'joint0'"):
         simulate(Scene(model), q, np.zeros(model.nv), 1.0)
 
 
-def test_joints_that_are_not_depth_first_are_refused_since_crba_would_be_wrong():
+def test_joints_not_in_depth_first_order_raise_since_crba_would_be_wrong():
     wrong, right = two_arms(("a", "al", "ar", "all", "arr")), two_arms(("a", "al", "all", "ar", "arr"))
     q, v = np.array([0.3, -0.5, 0.2, 0.4, -0.1]), np.array([-1.0, 0.5, 0.2, -0.7, 0.3])
-    told = "'all' apart from the other joints below 'al'"
+    message = "'all' apart from the other joints below 'al'"
     contact = Contact("tip", FLOOR, friction=0.5, restitution=0.5)
     for ask in (
         lambda: pinimpact.impact(wrong, wrong.createData(), q, v, contact),
@@ -388,9 +391,9 @@ def test_joints_that_are_not_depth_first_are_refused_since_crba_would_be_wrong()
         lambda: pinimpact.contact_matrices(wrong, wrong.createData(), q, contact),
         lambda: simulate(Scene(wrong), q, v, 1.0),
     ):
-        with pytest.raises(pinimpact.ModelError, match=told):
+        with pytest.raises(pinimpact.ModelError, match=message):
             ask()
-    for model in (wrong, right):  # M by Newton and Euler, in which the order of joints plays no part
+    for model in (wrong, right):  # M by RNEA does not depend on the order of joints
         data, still = model.createData(), np.zeros(5)
         weight = pin.rnea(model, data, q, still, still).copy()
         exact = np.column_stack([pin.rnea(model, data, q, still, unit) - weight for unit in np.eye(5)])
@@ -399,7 +402,7 @@ def test_joints_that_are_not_depth_first_are_refused_since_crba_would_be_wrong()
     assert pinimpact.impact(right, right.createData(), q, v, contact).v.shape == (5,)
 
 
-def test_impacts_in_a_scene_leave_alone_what_kernels_read(monkeypatch):
+def test_impacts_in_a_scene_do_not_change_arrays_of_kernels(monkeypatch):
     robots, compared = [], []
     known = bridge.robot_dynamics
 
@@ -443,7 +446,7 @@ except ValueError:
 """
 
 
-def test_without_the_jit_calls_are_plain_python():
+def test_calls_without_compiler():
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     run = subprocess.run(
         [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=False

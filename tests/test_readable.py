@@ -1,4 +1,4 @@
-"""What is printed of results, in terminals and notebooks."""
+"""Representation of results in terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def toss():
 
 
 class Tables(HTMLParser):
-    """Rows of cells, and text beside them; the tags have to be closed in order."""
+    """Parser of tables: rows of cells, and text outside of them; tags must be closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ def test_flags_are_printed_in_words():
     assert f"{pinimpact.Status.SEPARATED}" == str(pinimpact.Status.SEPARATED)
 
 
-def test_a_solution_in_a_notebook():
+def test_solution_in_notebook():
     solution = pinimpact.solve_impact(PROBLEM)
     found = Tables(solution._repr_html_())
     rows = {row[0]: row[1:] for row in found.rows if row}
@@ -79,7 +79,7 @@ def test_a_solution_in_a_notebook():
     assert str(solution.status) in found.texts
 
 
-def test_an_impact_at_many_contacts_in_a_notebook():
+def test_impact_at_several_contacts_in_notebook():
     robot = pinimpact.load_robot("solo12")
     floor = pinimpact.Plane(name="floor <wet>")
     feet = [pinimpact.Contact(name, floor, 0.5, 0.3, "energetic") for name in ("FL_FOOT", "HR_FOOT")]
@@ -108,14 +108,14 @@ def test_an_impact_at_many_contacts_in_a_notebook():
     assert str(one.solution.status) in found.texts
 
 
-def test_a_plan_in_a_notebook(toss):
+def test_plan_in_notebook(toss):
     plan = toss[0].plan()
     rows = Tables(plan._repr_html_()).rows[1:]
     assert [row[0] for row in rows] == [effect.name for effect in plan]
     assert [row[1] == "yes" for row in rows] == [effect.on for effect in plan]
 
 
-def test_a_trajectory_in_words_and_in_a_notebook(toss):
+def test_trajectory_in_terminal_and_notebook(toss):
     _, trajectory = toss
     count = len(trajectory.impacts)
     assert count > 0
@@ -128,7 +128,7 @@ def test_a_trajectory_in_words_and_in_a_notebook(toss):
     assert float(rows[0][0]) == pytest.approx(trajectory.impacts[0].time, rel=1e-5)
 
 
-def test_energy_and_impacts_say_what_matters(toss):
+def test_repr_of_energy_and_impacts(toss):
     _, trajectory = toss
     energy, impact = trajectory.energy, trajectory.impacts[0]
     numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", repr(energy))]
@@ -146,7 +146,7 @@ def test_energy_and_impacts_say_what_matters(toss):
     assert numbers[:3] == pytest.approx(expected, rel=1e-5)
 
 
-def test_notes_that_say_the_same_are_one_line(toss):
+def test_equal_notes_are_grouped_in_one_line(toss):
     _, trajectory = toss
     notes = [note for note in trajectory.notes if "resting" in note.text]
     assert len(notes) >= 1
@@ -165,7 +165,7 @@ def test_notes_that_say_the_same_are_one_line(toss):
     assert str(groups[1]).startswith("t = 0.2000 s: b on floor")
 
 
-def test_surfaces_have_names():
+def test_labels_of_contacts_contain_names_of_surfaces():
     table = pinimpact.Plane(name="table")
     assert pinimpact.Contact("hand", table).label == "hand on table"
     assert pinimpact.Contact("hand", pinimpact.Sphere(radius=1.0, name="ball")).label == "hand on ball"
@@ -174,7 +174,7 @@ def test_surfaces_have_names():
     assert pinimpact.Contact("hand", pinimpact.Plane(name="table"), name="grip").label == "grip"
 
 
-def test_every_object_shows_itself_in_a_line(toss):
+def test_repr_of_objects_is_one_line(toss):
     robot = pinimpact.load_robot("panda")
     model, data = robot.model, robot.data
     hand = Contact("panda_hand_tcp", Plane((0, 0, 0.2)), friction=0.4, restitution=0.5)

@@ -1,4 +1,4 @@
-"""The README: its example is run in `test_docs`; its commands, links and first screen are looked at here."""
+"""The README: its first lines, picture, commands and links; its example is run in `test_docs`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
 def local_file(link: str) -> Path | None:
-    """Return the file of the repository that a link of the project leads to; None for another's page."""
+    """Return the file of the repository that a link refers to, or None for pages of other projects."""
     link = link.partition("#")[0]
     for start in (f"{REPOSITORY}/blob/main/", f"{REPOSITORY}/tree/main/", RAW):
         if link.startswith(start):
@@ -35,7 +35,7 @@ def blocks(language: str) -> list[str]:
     return [block.text for block in pages.blocks_of(ROOT / "README.md") if block.language == language]
 
 
-def test_the_first_screen_says_what_for_whom_and_how() -> None:
+def test_first_lines_name_purpose_users_and_installation() -> None:
     first = README[: README.index("```")]
     assert "computes rigid-body impacts with friction" in first  # what it does
     assert "is written for researchers" in first  # and for whom
@@ -43,7 +43,7 @@ def test_the_first_screen_says_what_for_whom_and_how() -> None:
     assert len(blocks("python")[0].splitlines()) <= 11
 
 
-def test_the_example_begins_in_contact(tmp_path: Path) -> None:
+def test_example_starts_in_contact(tmp_path: Path) -> None:
     names = pages.run_page(ROOT / "README.md", tmp_path)
     robot: Any = names["robot"]
     hand: Any = names["hand"]
@@ -51,7 +51,7 @@ def test_the_example_begins_in_contact(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_picture_shows_the_impact_of_the_example(tmp_path: Path) -> None:
+def test_picture_shows_the_impact_of_the_example(tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     shown, said = pages.run_page(ROOT / "README.md", tmp_path), pages.run_page(HOME, tmp_path / "home")
     hits: list[Any] = [shown["hit"], said["hit"]]
@@ -60,7 +60,7 @@ def test_the_picture_shows_the_impact_of_the_example(tmp_path: Path) -> None:
     assert f"{RAW}docs/figures/pages/index-impact.png" in README
 
 
-def test_the_test_command_is_what_ci_runs() -> None:
+def test_test_command_agrees_with_ci() -> None:
     from_index, run, test = blocks("sh")
     assert from_index == "python -m pip install pinimpact\n"
     assert "pinimpact demo" in run
@@ -77,13 +77,13 @@ def test_links_are_absolute_for_the_package_index() -> None:
 
 
 @pytest.mark.parametrize("page", pages.pages(), ids=lambda page: page.stem)
-def test_links_into_the_project_lead_somewhere(page: Path) -> None:
+def test_targets_of_links_into_the_project_exist(page: Path) -> None:
     for link in LINK.findall(page.read_text(encoding="utf-8")):
         file = local_file(link)
         assert file is None or file.exists(), link
 
 
-def test_named_scenes_come_with_pinimpact() -> None:
+def test_named_scenes_are_bundled() -> None:
     from pinimpact.app.scene_file import bundled_scenes
 
     named = re.findall(r"pinimpact (?:run|plan) (\w+)", README)

@@ -1,4 +1,4 @@
-"""The multiple-precision reference and its table: published answers, a brute force, identities."""
+"""The multiple-precision reference and its table: published solutions, numerical integration, identities."""
 
 import math
 import os
@@ -22,7 +22,7 @@ TABLE = stored.load()
 
 
 def _literature():
-    """The rows of the file: problem, μ, v⁺, P, compression impulse, events."""
+    """Yield the rows of the file: problem, μ, v⁺, P, compression impulse, events."""
     for line in Path(stored.__file__).with_name("literature.txt").read_text().splitlines():
         if not line.startswith("#"):
             name, mu, *vectors, events = (cell.strip() for cell in line.split("|"))
@@ -31,7 +31,7 @@ def _literature():
 
 
 def _literature_problem(name: str) -> tuple[list[list[mpf]], list[mpf], float]:
-    """W, v and e, in the working precision."""
+    """Return W, v and e in the working precision."""
     root2, root3 = mp.sqrt(2), mp.sqrt(3)
     if name.startswith("ellipsoid"):
         slip = 5 / root2 if name.endswith("A") else mpf("0.5")
@@ -66,7 +66,7 @@ def test_literature(name, mu, velocity, impulse, compression, events):
 
 
 def _brute_force(W, v, mu, e, law):
-    """Integrate dv/dτ = |v_t| b − μ A v_t with scipy, P and the normal works beside it; dP₃ = |v_t| dτ."""
+    """Integrate dv/dτ = |v_t| b − μ A v_t with scipy, together with P and normal work; dP₃ = |v_t| dτ."""
     b, A = W[:2, 2], W[:2, :2]
     scale = float(np.linalg.norm(v))
     phases = {True: [0.0, 0.0], False: [0.0, 0.0]}
@@ -122,11 +122,11 @@ def _brute_force(W, v, mu, e, law):
                 stuck = True
             else:
                 angles = np.linspace(0, 2 * np.pi, 3601)
-                for _ in range(8):  # close in on the direction along which b − μAσ points
+                for _ in range(8):  # refine the direction σ that is parallel to b − μAσ
                     s = np.array([np.cos(angles), np.sin(angles)])
                     F = b[:, None] - mu * A @ s
-                    off = np.abs(np.arctan2(s[0] * F[1] - s[1] * F[0], (s * F).sum(0)))
-                    best = angles[np.argmin(off)]
+                    error = np.abs(np.arctan2(s[0] * F[1] - s[1] * F[0], (s * F).sum(0)))
+                    best = angles[np.argmin(error)]
                     angles = best + (angles - np.mean(angles)) / 100
                 direction = np.array([np.cos(best), np.sin(best)])
             continue
@@ -158,7 +158,7 @@ def test_brute_force(category, turn):
     p = draw(3, turn * len(CATEGORIES) + CATEGORIES.index(category))
     answer = solve_reference(p.delassus, p.velocity, p.friction, p.restitution, p.law, digits=20)
     velocity, impulse, phases = _brute_force(p.delassus, p.velocity, p.friction, p.restitution, p.law)
-    near = 3e-7 if category == "second compression" else 3e-8  # slip is cut at 1e-9 of the speed
+    near = 3e-7 if category == "second compression" else 3e-8  # slip is taken as zero at 1e-9 of the speed
     exact = [[float(x) for x in vector] for vector in (answer.velocity, answer.impulse)]
     assert velocity == pytest.approx(exact[0], abs=near * np.linalg.norm(p.velocity))
     assert impulse == pytest.approx(exact[1], abs=near * np.linalg.norm(impulse))
@@ -179,7 +179,7 @@ def test_table_is_reproduced(row):
         new, old = stored.outputs(answer), TABLE.exact(row)
         for group in ([0, 1, 2], [3, 4, 5], [6], [7], [8], [9]):
             size = mp.norm([old[k] for k in group])
-            # what lies under the smallest double cannot be stored
+            # numbers below the smallest double are not stored
             assert mp.norm([new[k] - old[k] for k in group]) <= size * mpf(10) ** -40 + mpf(2) ** -1070
     assert answer.status == stored.STATUSES[TABLE.status[row]]
 
@@ -208,10 +208,10 @@ def test_table_covers_every_regime():
 
 @pytest.mark.slow
 def test_table_obeys_the_laws_of_mechanics():
-    """Impulse-momentum, friction cone, energy, separation, and the law, to the last stored digit."""
+    """Check momentum, friction cone, energy, separation and restitution law to the last stored digit."""
     with mp.workdps(60):
         small = mpf(10) ** -45
-        least = mpf(2) ** -1060  # what the stored doubles cannot tell from zero
+        least = mpf(2) ** -1060  # stored numbers below it are zero
         for row in range(len(TABLE)):
             p = TABLE.problem(row)
             out = TABLE.exact(row)
@@ -227,13 +227,13 @@ def test_table_obeys_the_laws_of_mechanics():
             assert v[2] >= 0
             assert abs(Pc + Pr - P[2]) <= small * P[2] + least
             total = sum(x * (a + b) for x, a, b in zip(P, v0, v, strict=True)) / 2
-            assert total - Wc - Wr <= bound * size  # the rest is the work of friction
+            assert total - Wc - Wr <= bound * size  # work of friction is not positive
             assert Wc <= 0 <= Wr + bound * size
             locked = stored.STATUSES[TABLE.status[row]] == "LOCKED"
             if p.law == "poisson":
                 assert abs(Pr - e * Pc) <= small * P[2] + least
             elif p.law == "energetic" and not locked:
-                # the works are quadratures: a few digits fewer, still twice what a double holds
+                # work is by quadrature, with a few digits less, but still twice those of a double
                 assert abs(Wr + e**2 * Wc) <= mpf(10) ** -40 * abs(Wc) + least
             elif p.law == "newton" and not locked:
                 assert abs(v[2] + e * v0[2]) <= small * abs(v0[2])
@@ -241,8 +241,8 @@ def test_table_obeys_the_laws_of_mechanics():
                 assert total <= bound * size
 
 
-def test_slip_does_not_part():
-    """Two slips of one contact never part in the norm of A⁻¹ (balanced: both end at one normal impulse)."""
+def test_distance_of_two_slips_does_not_grow():
+    """The distance of two slips of a contact in the norm of A⁻¹ does not grow; both end at the same P₃."""
     rng = np.random.default_rng(5)
     for _ in range(6):
         X = rng.standard_normal((2, 5))
@@ -256,7 +256,7 @@ def test_slip_does_not_part():
 
 
 def _allowed(rows):
-    """The errors allowed in v⁺ and in P: 1e-12, or a few times what a rounding of the input changed."""
+    """Return tolerances of v⁺ and P: 1e-12, or eight times the sensitivity to rounding errors."""
     speed = np.linalg.norm(TABLE.velocity[rows], axis=-1)
     impulse = np.linalg.norm(TABLE.answer[rows, 3:6, 0], axis=-1)
     return np.maximum(1e-12 * np.stack([speed, impulse]), 8 * TABLE.sensitivity[rows].T)
@@ -269,7 +269,7 @@ def _worst(rows, misses) -> str:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_solve_impacts(law):
-    """Every row of the table, in one batch for each law."""
+    """Compare all rows of the table, in one batch for each law."""
     rows = TABLE.rows(law)
     batch = pinimpact.solve_impacts(
         TABLE.delassus[rows], TABLE.velocity[rows], TABLE.friction[rows], TABLE.restitution[rows], law
@@ -306,7 +306,7 @@ def test_solve_impacts(law):
 
 @pytest.mark.parametrize("row", _table_sample(200)[::4])
 def test_solve_impact(row):
-    """A sample, with its flags; those of events that the last rounding decides are not compared."""
+    """Compare a sample of rows, with flags, except those that rounding errors may decide."""
     p = TABLE.problem(row)
     solution = pinimpact.solve_impact(
         ImpactProblem(p.delassus, p.velocity, p.friction, p.restitution, law=p.law)
@@ -321,8 +321,8 @@ def test_solve_impact(row):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rank", [1, 2])
-def test_singular_w_as_doubles_form_it(rank):
-    """W = XXᵀ and v = Xw rounded to doubles, against the reference with X and w taken exactly."""
+def test_singular_w_with_rounding_errors(rank):
+    """Compare W = XXᵀ and v = Xw in doubles with the reference for exact products."""
     for trial in range(20):
         rng = np.random.default_rng((77, rank, trial))
         X, w = rng.standard_normal((3, rank)), rng.standard_normal(rank)
@@ -354,8 +354,8 @@ for row in map(int, sys.argv[1:]):
 """
 
 
-def test_without_compiling():
-    """The kernels run as plain Python too, as well."""
+def test_without_compiler():
+    """Kernels run as plain Python have the same accuracy."""
     rows = _table_sample(60)
     run = subprocess.run(
         [sys.executable, "-c", PLAIN, *map(str, rows)],

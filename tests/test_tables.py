@@ -35,12 +35,12 @@ MU, E, FALL, SPEED = 0.2, 0.5, 0.3, 2.0
 
 @pytest.fixture(scope="module")
 def landing():
-    """A ball that falls, bounces till it lies, slides and rolls."""
+    """Return the trajectory of a ball that bounces until it slides, and then rolls."""
     contact = Contact("center", Plane(), radius=0.1, friction=MU, restitution=E, name="floor")
     return simulate(Scene(ball(), [contact]), [0, 0, 0.1 + FALL, *UP], [SPEED, 0, 0, 0, 0, 0], 2.0)
 
 
-def test_samples_are_the_motion_that_a_falling_ball_has(landing):
+def test_samples_of_falling_ball(landing):
     frame = landing.to_dataframe()
     hit = np.sqrt(2.0 * FALL / G)
     flight = frame[frame.t < hit]
@@ -62,7 +62,7 @@ def test_samples_are_the_motion_that_a_falling_ball_has(landing):
     )
 
 
-def test_an_impact_has_a_row_before_and_one_after_it(landing):
+def test_impact_has_a_row_before_and_one_after_it(landing):
     frame, table = landing.to_dataframe(), landing.to_dataframe("impacts")
     hit = np.sqrt(2.0 * FALL / G)
     assert table.time[0] == pytest.approx(hit, rel=1e-12)
@@ -84,7 +84,7 @@ def with_mass(trajectory):
         yield one, np.array(pin.crba(model, model.createData(), one.q))
 
 
-def test_modes_begin_where_the_last_one_ends(landing):
+def test_modes_start_at_the_end_of_the_previous_one(landing):
     table = landing.to_dataframe("modes")
     assert list(table.columns) == ["source", "mode", "start", "end"]
     assert list(table["mode"])[-1] == "stick"
@@ -96,14 +96,14 @@ def test_modes_begin_where_the_last_one_ends(landing):
         assert set(inside[f"{row.source}.mode"]) <= {row.mode}
 
 
-def test_a_run_without_impacts_has_tables_too():
+def test_tables_of_run_without_impacts():
     contact = Contact("center", Plane(), radius=0.1, name="floor")
     run = simulate(Scene(ball(), [contact]), [0, 0, 5.0, *UP], np.zeros(6), 0.01)
     assert len(run.to_dataframe("impacts")) == len(run.to_dataframe("modes")) == 0
     assert "impulse.n" in run.to_dataframe("impacts")
 
 
-def test_coordinates_are_named_as_pinocchio_has_them():
+def test_names_of_coordinates_are_in_pinocchios_order():
     model = pin.Model()
     kinds = pin.JointModelFreeFlyer, pin.JointModelSpherical, pin.JointModelPlanar, pin.JointModelRUBX
     for k, kind in enumerate(
@@ -118,7 +118,7 @@ def test_coordinates_are_named_as_pinocchio_has_them():
     assert ones == {"FreeFlyer.qw", "Spherical.qw", "Planar.cos", "RUBX.cos"}
     assert q[-7] == "RX"
     assert v[model.joints[4].idx_v] == "RUBX"
-    # a velocity turns what its name says: about z a free-flyer's qz, a plane's sine
+    # each velocity changes the coordinate of the same axis
     for turning, turned in (
         ("FreeFlyer.wz", "FreeFlyer.qz"),
         ("Spherical.wx", "Spherical.qx"),
@@ -129,7 +129,7 @@ def test_coordinates_are_named_as_pinocchio_has_them():
         assert changed == {turned}
 
 
-def test_files_have_all_digits(landing, tmp_path):
+def test_files_contain_all_digits(landing, tmp_path):
     columns = landing.columns()
     write_table(tmp_path / "a.csv", columns)
     write_table(tmp_path / "a.parquet", columns)
@@ -147,7 +147,7 @@ def test_files_have_all_digits(landing, tmp_path):
             assert np.array_equal(table[name].to_numpy(), column)
 
 
-def test_a_saved_run_has_the_same_samples(landing, tmp_path):
+def test_samples_of_saved_run(landing, tmp_path):
     landing.save(tmp_path / "run.npz")
     again = Trajectory.load(tmp_path / "run.npz")
     assert again.coordinates == landing.coordinates
@@ -157,7 +157,7 @@ def test_a_saved_run_has_the_same_samples(landing, tmp_path):
     assert other[numbers].to_numpy() == pytest.approx(one[numbers].to_numpy(), abs=1e-8)
 
 
-def test_what_cannot_be_made_is_refused(landing, monkeypatch, tmp_path):
+def test_invalid_tables_and_missing_packages_raise(landing, monkeypatch, tmp_path):
     with pytest.raises(UnknownNameError, match="rows: 'forces' is not a table"):
         landing.to_dataframe("forces")
     with pytest.raises(InputError, match=r"output: .*ends in \.csv or \.parquet"):
@@ -199,7 +199,7 @@ def test_hits_as_columns():
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_the_command_line_writes_tables(tmp_path, suffix):
+def test_command_line_writes_tables(tmp_path, suffix):
     from pinimpact.app.scene_file import bundled_scenes
 
     file = tmp_path / f"motion.{suffix}"

@@ -1,4 +1,4 @@
-"""Impacts by the numbers of a model alone, against Pinocchio's algorithms, for all kinds of joints."""
+"""Impacts by kernels that read the memory of a model, against Pinocchio, for all kinds of joints."""
 
 import numpy as np
 import pinocchio as pin
@@ -33,11 +33,11 @@ JOINTS = {
     "planar": pin.JointModelPlanar,
 }
 UNKNOWN = {"spherical zyx": pin.JointModelSphericalZYX, "universal": pin.JointModelUniversal}
-"""What only Pinocchio moves."""
+"""Joints that only Pinocchio's algorithms support."""
 
 
 def robot(kind, root=None) -> pin.Model:
-    """A tree: two links turned against each other, the joint, and two branches behind it."""
+    """Return a tree of a root joint, a joint of a kind, and two branches after it."""
     rng = np.random.default_rng(0)
     make = (JOINTS | UNKNOWN)[kind]
     joint = make(AXIS, np.array([0.8, 0.6, 0.0])) if kind == "universal" else make()
@@ -66,7 +66,7 @@ def approaching(model, q, v, contact):
 
 
 def agree(model, contact, seed: int = 1, tolerance: float = 1e-12) -> None:
-    """Hold an impact against Pinocchio's mass matrix and Jacobian, on Data of their own."""
+    """Compare an impact with Pinocchio's mass matrix and Jacobian from separate Data."""
     q, v = state(model, seed)
     v = approaching(model, q, v, contact)
     data = model.createData()
@@ -88,7 +88,7 @@ BETWEEN = Contact("left", Plane(normal=(0.1, 0.2, 0.9), body="right"), friction=
 
 
 @pytest.mark.parametrize("kind", JOINTS)
-def test_every_kind_of_joint_is_moved_as_pinocchio_moves_it(kind):
+def test_joints_supported_by_kernels(kind):
     model = robot(kind)
     agree(model, CONTACT)
     agree(model, BETWEEN, seed=2)
@@ -96,7 +96,7 @@ def test_every_kind_of_joint_is_moved_as_pinocchio_moves_it(kind):
 
 
 @pytest.mark.parametrize("kind", UNKNOWN)
-def test_other_joints_are_left_to_pinocchio(kind):
+def test_joints_supported_by_pinocchio_only(kind):
     model = robot(kind)
     agree(model, CONTACT)
     data = model.createData()
@@ -107,7 +107,7 @@ def test_other_joints_are_left_to_pinocchio(kind):
     assert np.array_equal(rows.v[0], impact(model, data, q, v, CONTACT).v)
 
 
-def test_both_ways_agree(monkeypatch):
+def test_kernels_and_pinocchio_agree(monkeypatch):
     model = robot("free flyer")
     q, v = state(model)
     v = approaching(model, q, v, CONTACT)
@@ -120,8 +120,8 @@ def test_both_ways_agree(monkeypatch):
     assert known.impulse_world == pytest.approx(unknown.impulse_world, rel=1e-12)
 
 
-def test_a_wrong_joint_would_be_noticed(monkeypatch):
-    """What the kernel and Pinocchio disagree in is not trusted."""
+def test_disagreement_with_pinocchio_is_detected(monkeypatch):
+    """Pinocchio's public calls replace a kernel that disagrees with them, with a warning."""
     right = tree_numbers._tree
 
     def wrong(model):
@@ -136,7 +136,7 @@ def test_a_wrong_joint_would_be_noticed(monkeypatch):
         agree(model, CONTACT)
 
 
-def test_what_changes_in_a_model_counts_in_the_next_impact():
+def test_changes_of_the_model_take_effect_in_the_next_impact():
     model = robot("revolute")
     data = model.createData()
     q, v = state(model)
@@ -168,20 +168,20 @@ def test_what_changes_in_a_model_counts_in_the_next_impact():
         impact(model, data, q, v, CONTACT)
 
 
-def test_many_contacts_are_told_apart():
+def test_many_contacts_are_distinguished():
     model = robot("revolute")
     data = model.createData()
     q, v = state(model)
     v = approaching(model, q, v, CONTACT)
     first = impact(model, data, q, v, CONTACT)
-    for k in range(300):  # more than are remembered, some in the place of others that are gone
+    for k in range(300):  # more than the cache holds, some at memory addresses of deleted ones
         other = Contact("left", CONTACT.plane, friction=0.001 * k, restitution=0.5)
         assert impact(model, data, q, v, other).problem.friction == 0.001 * k
     assert np.array_equal(impact(model, data, q, v, CONTACT).v, first.v)
 
 
 @pytest.mark.parametrize("kind", ["free flyer", "spherical", "unbounded", "planar"])
-def test_configurations_that_are_not_normalized_are_refused(kind):
+def test_configurations_that_are_not_normalized_raise(kind):
     model = robot(kind)
     q, v = state(model)
     q[-2:] *= 1.0 + 1e-6
@@ -194,7 +194,7 @@ def test_configurations_that_are_not_normalized_are_refused(kind):
     assert rows.status[1] <= Status.LOCKED
 
 
-def test_a_robot_far_from_the_world_s_origin_is_the_same_robot():
+def test_robot_far_from_the_origin():
     model = robot("revolute", root=pin.JointModelFreeFlyer)
     q, v = state(model)
     v = approaching(model, q, v, CONTACT)
@@ -204,7 +204,7 @@ def test_a_robot_far_from_the_world_s_origin_is_the_same_robot():
     assert away.v == pytest.approx(here.v, rel=1e-11, abs=1e-11)
 
 
-def test_threads_share_rows_and_give_the_same_bits():
+def test_results_with_several_threads_are_identical():
     model = robot("free flyer")
     data = model.createData()
     rng = np.random.default_rng(0)
@@ -222,8 +222,8 @@ def test_threads_share_rows_and_give_the_same_bits():
         impacts(model, data, q, v, CONTACT, threads=0)
 
 
-def test_rows_of_one_configuration_are_what_they_are_alone():
-    """The tree is evaluated anew where q differs from the row before only."""
+def test_rows_of_equal_configurations_equal_single_impacts():
+    """The tree is reevaluated only if q differs from the previous row."""
     model = robot("free flyer")
     data = model.createData()
     first, second = state(model, 1)[0], state(model, 2)[0]
@@ -236,7 +236,7 @@ def test_rows_of_one_configuration_are_what_they_are_alone():
         assert np.array_equal(rows.v[k], impact(model, data, q[k], v[k], CONTACT).v)
 
 
-def test_a_joint_without_inertia_is_named_whatever_the_threads():
+def test_joint_without_inertia_is_named_with_any_number_of_threads():
     model = robot("revolute")
     model.armature = np.zeros(model.nv)
     for j in (3, 4):
