@@ -46,8 +46,8 @@ def written(tmp_path: Path, text: str) -> str:
     return str(path)
 
 
-def test_a_urdf_strikes_with_what_suggests_itself_though_a_joint_moves_nothing(tmp_path: Path) -> None:
-    """The tip hangs straight down: it can strike a wall only, along x; its flag is held."""
+def test_demo_of_urdf_with_massless_joint(tmp_path: Path) -> None:
+    """The pendulum hangs down, so its tip can strike a wall along x only; the massless joint is fixed."""
     shown = run_demo(written(tmp_path, PENDULUM))
     assert shown.contact.label == "tip on table"
     assert shown.frozen == ("idle",)
@@ -61,31 +61,31 @@ def test_a_urdf_strikes_with_what_suggests_itself_though_a_joint_moves_nothing(t
     assert shown.impact.solution.impulse[2] == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_urdf_without_shapes_is_replayed_in_lines(tmp_path: Path) -> None:
+def test_urdf_without_shapes_is_replayed_in_lines(tmp_path: Path) -> None:
     result = call("demo", written(tmp_path, PENDULUM), "-o", str(tmp_path / "out"))
     assert result.exit_code == 0, result.output
     assert re.search(
         r"Normal of the table: \(-?1, 0, 0\); the frame cannot move down in this posture", result.output
     )
-    assert not re.search(r"e-1[4-9]", result.output)  # what is zero to rounding
+    assert not re.search(r"e-1[4-9]", result.output)  # rounding errors of zero
     assert "Joints without inertia are fixed: idle." in result.output
     assert (tmp_path / "out" / "replay.html").stat().st_size > 100_000
 
 
-def test_zero_to_rounding_is_told_from_small() -> None:
+def test_rounding_errors_are_distinguished_from_small_numbers() -> None:
     assert rounded([1.0, 3e-15, -8e-15, 1e-12]) == [1.0, 0.0, -8e-15, 1e-12]
     assert rounded([1e-20, 2e-22]) == [1e-20, 2e-22]
     assert rounded([1e-20, 2e-22], size=1.0) == [0.0, 0.0]
     assert rounded([]) == []
 
 
-def test_the_ends_of_chains_suggest_themselves() -> None:
+def test_suggested_contact_frames_are_ends_of_chains() -> None:
     arm = load_robot(str(Path(__file__).parents[1] / "examples" / "arm.urdf"))
-    assert robot_facts("arm", arm)["contact_frames"] == ["tip"]  # not the hand that it is fixed to
+    assert robot_facts("arm", arm)["contact_frames"] == ["tip"]  # not the hand to which it is fixed
     assert "At joint origins: link2; offset=" in call("info", "double_pendulum").output
 
 
-def test_a_robot_strikes_as_it_is_asked_to() -> None:
+def test_demo_with_given_frame_velocity_and_normal() -> None:
     shown = run_demo(
         "ur5",
         "wrist_3_link",
@@ -108,7 +108,7 @@ def test_a_robot_strikes_as_it_is_asked_to() -> None:
     assert (impact.problem.friction, impact.problem.law) == (0.7, "newton")
 
 
-def test_a_free_base_lands_on_its_lowest_foot() -> None:
+def test_robot_with_free_base_lands_on_its_lowest_foot() -> None:
     shown = run_demo("go2")
     data = shown.robot.model.createData()
     gaps = [contact.gap(shown.robot.model, data, shown.impact.q) for contact in shown.contacts]
@@ -120,10 +120,10 @@ def test_a_free_base_lands_on_its_lowest_foot() -> None:
 
 
 @pytest.mark.parametrize("name", ["simple_humanoid", "talos_legs"])
-def test_a_robot_on_two_legs_lands_on_its_feet(name: str) -> None:
-    """The base turns by less than 6° from the touch to the end, and feet push at most ten times the weight.
+def test_biped_lands_on_its_feet(name: str) -> None:
+    """After the impact the base rotates by less than 6°, and forces are at most ten times the weight.
 
-    A body that leans by all of the tilt falls as an inverted pendulum, by 17° in the same time.
+    An inverted pendulum with the same tilt would rotate by 17° in this time.
     """
     shown = run_demo(name)
     trajectory, model = shown.trajectory, shown.robot.model
@@ -136,15 +136,15 @@ def test_a_robot_on_two_legs_lands_on_its_feet(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_hand_strikes_a_table_that_faces_up_with_moderate_joint_speeds() -> None:
-    """Its thumb can hardly move in one direction, which is left out: exactly, it would take 100 rad/s."""
+def test_hand_strikes_level_table_with_moderate_joint_speeds() -> None:
+    """The thumb can hardly move in one direction, which is ignored; it would need 100 rad/s."""
     shown = run_demo("allegro_right_hand")
     assert not shown.turned
     assert np.abs(shown.impact.v_before).max() < 20.0
 
 
 @pytest.mark.slow
-def test_an_arm_on_a_tall_robot_does_not_reach_over_its_head() -> None:
+def test_table_of_tall_robot_is_below_its_head() -> None:
     shown = run_demo("tiago_dual")
     data = shown.robot.model.createData()
     pin.framesForwardKinematics(shown.robot.model, data, shown.impact.q)
@@ -198,7 +198,7 @@ def test_nothing_is_in_the_table(name: str) -> None:
         if shape.parentJoint in own and hasattr(shape.geometry, "vertices")
         for at in [data.oMi[shape.parentJoint] * shape.placement]
     )
-    assert abs(nearest) < 2e-3 * size  # it touches where it strikes
+    assert abs(nearest) < 2e-3 * size  # in contact at the impact
     before = shown.trajectory.at(0.5 * shown.impact.time)
     assert (
         0.0
@@ -207,7 +207,7 @@ def test_nothing_is_in_the_table(name: str) -> None:
     )
 
 
-def test_what_cannot_strike_says_why(tmp_path: Path) -> None:
+def test_messages_for_impossible_demos(tmp_path: Path) -> None:
     result = call("demo", written(tmp_path, FIXED), "-o", str(tmp_path / "out"))
     assert result.exit_code == 1
     assert "own.urdf has no movable joint, so it cannot strike\n" in result.output
@@ -295,7 +295,7 @@ def test_every_named_robot_strikes_and_moves_on(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["iris", pytest.param("ur5", marks=pytest.mark.slow)])
-def test_a_demo_ends_before_a_part_without_contact_sinks_in(name: str) -> None:
+def test_demo_ends_before_parts_without_contact_penetrate(name: str) -> None:
     shown = run_demo(name)
     model, shapes, plane = shown.robot.model, shown.robot.visual_model, shown.contact.plane
     data, heights = model.createData(), []
@@ -311,7 +311,7 @@ def test_a_demo_ends_before_a_part_without_contact_sinks_in(name: str) -> None:
                 if hasattr(shape.geometry, "vertices")
             ]
         )
-    above = np.array(heights)[:, np.array(heights)[0] > 0.0]  # what is beside the table may be below it
+    above = np.array(heights)[:, np.array(heights)[0] > 0.0]  # shapes next to the table may be below it
     size = Body(shown.robot).size
     assert shown.stopped is not None
     assert "another part reaches the table" in shown.stopped

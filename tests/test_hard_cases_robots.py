@@ -145,10 +145,10 @@ def test_10_joints_that_together_move_no_inertia_are_named():
     v = np.array([0.2, 0.0, -1.0, *np.zeros(6)])
     for apart in (0.0, 1e-8):
         model = head(apart)
-        told = r"joint '(pitch|roll|yaw)' \(velocity [678]\) moves no inertia"
-        with pytest.raises(pinimpact.ModelError, match=told):
+        message = r"joint '(pitch|roll|yaw)' \(velocity [678]\) moves no inertia"
+        with pytest.raises(pinimpact.ModelError, match=message):
             pinimpact.impact(model, model.createData(), pin.neutral(model), v, contact)
-        with pytest.raises(pinimpact.ModelError, match=told):
+        with pytest.raises(pinimpact.ModelError, match=message):
             pinimpact.simulate(pinimpact.Scene(model), pin.neutral(model), v, 0.1)
     model = head(1e-4)
     hit_and_ledger(model, pin.neutral(model), v, contact)

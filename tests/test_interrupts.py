@@ -1,4 +1,4 @@
-"""Ctrl-C during a kernel that takes long."""
+"""Interrupts and other signals during long kernels."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ pytestmark = pytest.mark.skipif(
 )
 
 FEW = 6
-"""Contacts with which a kernel takes no time."""
+"""Number of contacts for which kernels are fast."""
 
 
 def corners(n):
-    """Return J of a box that lands on n corners, and their velocities."""
+    """Return J of a box that lands on n corners, and the velocities of these."""
     places = np.random.default_rng(n).uniform(-1.0, 1.0, (n, 2))
     rows = np.zeros((n, 3, 6))
     for row, (x, y) in zip(rows, places, strict=True):
@@ -60,15 +60,15 @@ def steps(n):
 
 
 def send(name, after):
-    """Send a signal to this process after a time [s]."""
+    """Start a process that sends a signal to this one after a time [s]."""
     return subprocess.Popen(["/bin/sh", "-c", f"sleep {after}; kill -{name} {os.getpid()}"])
 
 
 @pytest.mark.parametrize(("kernel", "many"), [(together, 250), (events, 250), (steps, 800)])
-def test_a_long_kernel_ends_when_it_is_interrupted(kernel, many):
-    """With so many contacts it takes 5 s and more."""
+def test_interrupt_ends_long_kernel(kernel, many):
+    """With `many` contacts a kernel takes at least 5 s."""
     before = kernel(FEW)  # compiled
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process may ignore it
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # background processes may ignore it
     sender, begun = send("INT", 0.5), time.perf_counter()
     try:
         with pytest.raises(KeyboardInterrupt):
@@ -80,7 +80,7 @@ def test_a_long_kernel_ends_when_it_is_interrupted(kernel, many):
     np.testing.assert_array_equal(kernel(FEW), before)
 
 
-def test_a_signal_that_is_handled_changes_nothing():
+def test_handled_signals_do_not_affect_kernels():
     before, seen = together(60), []
     handler = signal.signal(signal.SIGUSR1, lambda *_: seen.append(True))
     try:
@@ -93,7 +93,7 @@ def test_a_signal_that_is_handled_changes_nothing():
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_batches_are_solved_in_short_parts(threads):
+def test_batches_are_divided_into_short_parts(threads):
     lengths = in_threads(lambda rows: rows.stop - rows.start, 10 * MAX_ROWS, threads)
     assert sum(lengths) == 10 * MAX_ROWS
     assert max(lengths) <= MAX_ROWS

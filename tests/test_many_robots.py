@@ -325,9 +325,9 @@ def test_infinite_sequence_of_impacts_reaches_its_limit():
         for name, wall in zip(("left", "right"), walls, strict=True)
     ]
     scene = Scene(model, contacts=contacts, simultaneous="sequence")
-    with pytest.warns(BoundReachedWarning, match="After 400 single impacts") as told:
+    with pytest.warns(BoundReachedWarning, match="After 400 single impacts") as warned:
         motion = simulate(scene, np.zeros(3), [0.3, 0.4, -1.0], 0.01)
-    assert len(told) == 1
+    assert len(warned) == 1
     assert motion.v[-1] == pytest.approx([0.0, 0.4, 0.0], abs=1e-9)
     assert len(motion.impacts) == 402
     notes = " ".join(note.text for note in motion.notes)

@@ -13,7 +13,7 @@ from pinimpact.studies.one_step import ONE_STEP, solve_one_step
 
 
 def random_impacts(seed: int, count: int = 200):
-    """Return W, v, μ and e, of which about one in ten sticks."""
+    """Return W, v, μ and e of random impacts; about one in ten sticks."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(count, 3, 3))
     velocity = rng.normal(size=(count, 3))
@@ -23,7 +23,7 @@ def random_impacts(seed: int, count: int = 200):
 
 
 @pytest.mark.parametrize("model", ONE_STEP)
-def test_the_laws_hold_after_the_impact(model: str) -> None:
+def test_solutions_satisfy_the_laws(model: str) -> None:
     W, v, mu, e = random_impacts(1)
     found = solve_one_step(W, v, mu, e, model)
     P, after = found.impulse, found.velocity
@@ -39,7 +39,7 @@ def test_the_laws_hold_after_the_impact(model: str) -> None:
     assert after[:, 2] + e * v[:, 2] == pytest.approx(normal, abs=1e-11)
 
 
-def test_the_convex_model_has_the_least_energy_in_the_cone() -> None:
+def test_convex_model_minimizes_energy_in_the_cone() -> None:
     W, v, mu, e = random_impacts(2, 20)
     found = solve_one_step(W, v, mu, e, "convex").impulse
     for k in range(len(v)):
@@ -56,7 +56,7 @@ def test_the_convex_model_has_the_least_energy_in_the_cone() -> None:
 
 
 @pytest.mark.parametrize("model", ONE_STEP)
-def test_derivatives_are_those_of_differences(model: str) -> None:
+def test_derivatives_against_difference_quotients(model: str) -> None:
     W, v, mu, e = random_impacts(3)
     turned = np.random.default_rng(4).normal(size=(3, 3))
     turned += turned.T
@@ -75,10 +75,10 @@ def test_derivatives_are_those_of_differences(model: str) -> None:
 
 
 @pytest.mark.parametrize("friction", [0.1, 5.0])
-def test_moreau_is_the_path_where_slip_keeps_its_direction(friction: float) -> None:
+def test_moreau_agrees_with_path_for_slip_of_constant_direction(friction: float) -> None:
     rng = np.random.default_rng(5)
     W = np.array([np.diag([t, t, n]) for t, n in rng.uniform(0.5, 2.0, (50, 2))])
-    v = rng.normal(size=(50, 3))  # half of them do not approach
+    v = rng.normal(size=(50, 3))  # half of them are separating
     path = pinimpact.solve_impacts(W, v, friction, 0.4)
     found = solve_one_step(W, v, np.full(50, friction), np.full(50, 0.4), "moreau")
     assert found.impulse == pytest.approx(path.impulse, abs=1e-13)
@@ -87,7 +87,7 @@ def test_moreau_is_the_path_where_slip_keeps_its_direction(friction: float) -> N
 
 @pytest.mark.parametrize("model", ONE_STEP)
 @pytest.mark.parametrize("tangential", [0.0, 1.0])
-def test_what_no_impulse_can_stop_has_no_solution(model: str, tangential: float) -> None:
+def test_unstoppable_approach_has_no_solution(model: str, tangential: float) -> None:
     W, v = np.diag([1.0, 1.0, 0.0])[None], np.array([[tangential, 0.0, -1.0]])
     found = solve_one_step(W, v, np.full(1, 0.3), np.zeros(1), model)
     assert np.isnan(found.impulse).all()
@@ -95,7 +95,7 @@ def test_what_no_impulse_can_stop_has_no_solution(model: str, tangential: float)
 
 
 @pytest.mark.parametrize("model", ONE_STEP)
-def test_a_singular_matrix_whose_range_holds_the_approach_sticks(model: str) -> None:
+def test_approach_in_range_of_singular_matrix_sticks(model: str) -> None:
     root = np.array([[1.0, 0.2], [0.3, 1.0], [0.1, 0.9]])
     W, v = (root @ root.T)[None], (root @ [0.2, -1.0])[None]
     found = solve_one_step(W, v, np.full(1, 5.0), np.zeros(1), model)

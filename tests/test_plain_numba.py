@@ -1,4 +1,4 @@
-"""Kernels compiled by plain numba, and where numba's private names stand."""
+"""Kernels compiled by plain numba; private names of numba in the sources."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PUBLIC = {"numba", "numba.extending", "numba.types", "llvmlite.ir", "llvmlite.bi
 
 
 def imported(path: Path) -> list[tuple[int, str, str]]:
-    """Line, module and name of what a file imports of numba and llvmlite."""
+    """Return line, module and name of the imports of numba and llvmlite in a file."""
     found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and not node.level:
@@ -34,7 +34,7 @@ def imported(path: Path) -> list[tuple[int, str, str]]:
     return [one for one in found if one[1].split(".")[0] in ("numba", "llvmlite")]
 
 
-def test_private_names_of_numba_stand_in_one_module_each_with_its_reason() -> None:
+def test_private_names_of_numba_are_in_one_module_with_reasons() -> None:
     private = {
         path: [one for one in imported(path) if one[1] not in PUBLIC] for path in SOURCES.rglob("*.py")
     }
@@ -45,7 +45,7 @@ def test_private_names_of_numba_stand_in_one_module_each_with_its_reason() -> No
         assert "  # " in lines[line - 1], name
 
 
-def test_a_numba_that_was_not_tried_is_used_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_untested_versions_of_numba_are_used_without_extensions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(plain.VARIABLE, raising=False)
     assert plain.reason((0, 61)) == plain.reason((0, 68)) == ""
     assert "numba 0.60 has not been tested" in plain.reason((0, 60))
@@ -56,7 +56,7 @@ def test_a_numba_that_was_not_tried_is_used_as_it_is(monkeypatch: pytest.MonkeyP
     assert plain.VARIABLE in plain.reason()
 
 
-def test_kernels_run_by_plain_numba_alone(package: Path) -> None:
+def test_kernels_run_by_plain_numba(package: Path) -> None:
     rest = "\nfrom pinimpact._compile import jit\nprint(jit.WHY_PLAIN)"
     first = python(package, CALL + rest, PINIMPACT_PLAIN_NUMBA="1")
     answers, reason = first.stdout.splitlines()
@@ -65,7 +65,7 @@ def test_kernels_run_by_plain_numba_alone(package: Path) -> None:
     assert first.stderr.count("\n") == 1
     assert "compiled by plain numba" in first.stderr
     again = python(package, CALL, PINIMPACT_PLAIN_NUMBA="1").stdout
-    assert json.loads(again) == [[7.0, 130.0, -3.0], []]  # numba has kept them
+    assert json.loads(again) == [[7.0, 130.0, -3.0], []]  # from the cache of numba
     lost = "import numba.core.codegen as gone\ndel gone.JITCodeLibrary\n"
     without = python(package, lost + CALL + rest).stdout.splitlines()
     assert json.loads(without[0])[0] == [7.0, 130.0, -3.0]
@@ -88,7 +88,7 @@ print(json.dumps([*(one.velocity.tolist() for one in found), hit.v.tolist()]))
 
 
 @pytest.mark.slow
-def test_impacts_are_the_same_to_rounding() -> None:
+def test_impacts_agree_to_rounding() -> None:
     def impacts(chosen: str) -> list[np.ndarray]:
         environment = os.environ | {plain.VARIABLE: chosen}
         command = [sys.executable, "-c", IMPACTS]
@@ -97,4 +97,4 @@ def test_impacts_are_the_same_to_rounding() -> None:
         return [np.array(one) for one in json.loads(done.stdout)]
 
     for one, other in zip(impacts("1"), impacts("0"), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)  # 40 roundings of numbers of order one
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)  # 40 rounding errors

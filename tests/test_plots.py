@@ -1,4 +1,4 @@
-"""Plots: the lines that are drawn against closed forms and other ways to the same numbers; legends."""
+"""Plots: lines against closed forms and independent computations; legends."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def lines(ax, label: str) -> list[np.ndarray]:
     return [line.get_xydata() for line in ax.lines if line.get_label() == label]
 
 
-def test_the_hodograph_lies_on_the_closed_form() -> None:
+def test_hodograph_agrees_with_closed_form() -> None:
     problem = pinimpact.ImpactProblem(np.diag([2.0, 3.5, 1.0]), (0.5, 0.5, -1.0), 0.5, 0.5)
     ax = plots.hodograph(problem)
     drawn = np.vstack([*lines(ax, "slip in compression"), *lines(ax, "slip in restitution")])
@@ -98,7 +98,7 @@ def test_smooth_paths_have_no_kinks() -> None:
 
 
 def compact_bodies(count: int) -> list[pinimpact.ImpactProblem]:
-    """Sticking impacts of balls, cubes and drones: W is isotropic but for parts of 1e-17 to 1e-1."""
+    """Return sticking impacts of compact bodies: W is isotropic with deviations of 1e-17 to 1e-1."""
     rng, problems = np.random.default_rng(7), []
     for _ in range(count):
         skew = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-17, -1)
@@ -109,7 +109,7 @@ def compact_bodies(count: int) -> list[pinimpact.ImpactProblem]:
     return problems
 
 
-def test_paths_end_where_the_impact_does_and_go_forward() -> None:
+def test_paths_are_monotonic_and_end_at_the_solution() -> None:
     regimes = pinimpact.Flag.NONE
     for problem in [*random_problems(200), *compact_bodies(300), *CLASSES.values()]:
         solution = pinimpact.solve_impact(problem)
@@ -122,7 +122,7 @@ def test_paths_end_where_the_impact_does_and_go_forward() -> None:
         np.testing.assert_allclose(path.impulse[-1], solution.impulse, atol=1e-12 * largest)
         np.testing.assert_allclose(path.velocity[-1], solution.velocity, atol=1e-12 * size)
         np.testing.assert_allclose(path.velocity, start + path.impulse @ w, atol=1e-9 * size)
-        steps = np.diff(path.impulse, axis=0)  # friction never beyond its cone
+        steps = np.diff(path.impulse, axis=0)  # friction within its cone
         beyond = np.hypot(steps[:, 0], steps[:, 1]) - problem.friction * steps[:, 2]
         assert beyond.max(initial=0.0) <= 1e-9 * largest
     wanted = pinimpact.Flag.STICK | pinimpact.Flag.SLIP_RESUMED | pinimpact.Flag.JAM
@@ -130,7 +130,7 @@ def test_paths_end_where_the_impact_does_and_go_forward() -> None:
 
 
 def largest_kink(velocity: np.ndarray) -> float:
-    """Return the largest angle [°] between lines that can be seen, off the point where slip ends."""
+    """Return the largest angle [°] between visible successive lines, except at the end of slip."""
     steps, speed = np.diff(velocity, axis=0), np.hypot(*velocity.T)
     length = np.hypot(*steps.T)
     seen = (np.minimum(length[1:], length[:-1]) > 0.01 * speed.max()) & (speed[1:-1] > 0.0)
@@ -138,8 +138,8 @@ def largest_kink(velocity: np.ndarray) -> float:
     return float(np.degrees(np.abs(turned[seen])).max(initial=0.0))
 
 
-def test_no_part_of_a_path_is_lost() -> None:
-    lost_by_comparing = 0
+def test_parts_of_path_cover_all_segments() -> None:
+    without_exact_start = 0
     for problem in random_problems(80):
         solution = pinimpact.solve_impact(problem, record=True)
         path = smooth_path(problem, solution)
@@ -156,12 +156,12 @@ def test_no_part_of_a_path_is_lost() -> None:
             sign = -1.0 if segment.phase == "compression" else 1.0
             assert (sign * v[:, 2] > -1e-9 * scale).all()
             assert segment.mode == "slip" or not v[:, :2].any()
-            lost_by_comparing += not (path.normal_impulse == segment.start).any()
-    assert lost_by_comparing > 10  # or comparing would have done
+            without_exact_start += not (path.normal_impulse == segment.start).any()
+    assert without_exact_start > 10  # so a search for equal impulses is insufficient
 
 
-def test_the_regimes_of_slip_in_the_hodograph(monkeypatch: pytest.MonkeyPatch) -> None:
-    # matplotlib takes a second for the stream lines of a hodograph, which are not looked at here
+def test_regimes_of_slip_in_hodograph(monkeypatch: pytest.MonkeyPatch) -> None:
+    # stream lines, which take matplotlib a second, are not tested here
     monkeypatch.setattr("pinimpact.visual.plots.one_impact._draw_flow", lambda *_: None)
     for problem in random_problems(40):
         w, mu = np.asarray(problem.delassus), problem.friction
@@ -199,7 +199,7 @@ def test_the_regimes_of_slip_in_the_hodograph(monkeypatch: pytest.MonkeyPatch) -
         pinimpact.ImpactProblem(1e-9 * np.eye(3), (1e-12, 0, -1e-9), 0.5, 0.5),
     ],
 )
-def test_every_impact_can_be_drawn(problem) -> None:
+def test_plots_of_special_impacts(problem) -> None:
     for plot in (plots.hodograph, plots.velocities, plots.impulses, plots.impulse_space, plots.energy_ledger):
         ax = plot(problem)
         ax.figure.draw_without_rendering()
@@ -207,7 +207,7 @@ def test_every_impact_can_be_drawn(problem) -> None:
     assert plots.regime_map(problem, "restitution", resolution=8).has_data()
 
 
-def test_contacts_that_do_not_feel_each_other_are_drawn_as_if_alone() -> None:
+def test_plots_of_decoupled_contacts_equal_those_of_single_ones() -> None:
     ones = [
         pinimpact.ImpactProblem(problem.delassus, problem.velocity, 0.3, 0.5, "energetic")
         for problem in random_problems(2)
@@ -241,7 +241,7 @@ def test_contacts_that_do_not_feel_each_other_are_drawn_as_if_alone() -> None:
     ]
 
 
-def test_many_contacts_are_refused_where_a_plot_makes_no_sense() -> None:
+def test_invalid_plots_of_several_contacts_raise() -> None:
     many = pinimpact.ImpactProblem(np.eye(6), [[0.1, 0, -1.0], [0, 0.2, -1.0]], 0.3, 0.5, "energetic")
     solution = pinimpact.solve_impact(many, simultaneous="any", seed=3)
     hit = plots.one_impact.Solved(many, solution)
@@ -257,7 +257,7 @@ def test_many_contacts_are_refused_where_a_plot_makes_no_sense() -> None:
             call()
 
 
-def test_slip_that_resumes_is_marked() -> None:
+def test_resumed_slip_is_marked() -> None:
     ax = plots.hodograph(ROD)
     assert len(lines(ax, "slip resumes")) == 1
     assert not lines(ax, "stick")
@@ -277,7 +277,7 @@ def test_velocities_and_impulses_over_the_normal_impulse() -> None:
     assert (whole[:, 1] <= ROD.friction * whole[:, 0] + 1e-12).all()
 
 
-def test_the_energy_ledger_adds_up() -> None:
+def test_sum_of_energy_ledger() -> None:
     ax = plots.energy_ledger(ROD)
     *bars, whole = (patch for patch in ax.patches)
     solution = pinimpact.solve_impact(ROD)
@@ -288,22 +288,22 @@ def test_the_energy_ledger_adds_up() -> None:
     np.testing.assert_allclose([bar.get_x() for bar in bars], [0.0, *ends[:-1]], atol=1e-12)
 
 
-def test_rouths_lines_meet_the_path_where_they_should() -> None:
+def test_rouths_lines_intersect_the_path_at_events() -> None:
     ax = plots.impulse_space(PLANAR)
     solution = pinimpact.solve_impact(PLANAR, record=True)
 
-    def off(label: str, p: np.ndarray) -> float:
+    def distance(label: str, p: np.ndarray) -> float:
         (line,) = lines(ax, label)
-        way = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-        return float(np.cross(np.append(way, 0.0), np.append(p[[0, 2]] - line[0], 0.0))[2])
+        direction = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+        return float(np.cross(np.append(direction, 0.0), np.append(p[[0, 2]] - line[0], 0.0))[2])
 
     stick = next(s for s in solution.segments if s.mode == "stick")
     turn = next(s for s in solution.segments if s.phase == "restitution")
     for p3, p, v in zip(
         solution.path.normal_impulse, solution.path.impulse, solution.path.velocity, strict=True
     ):
-        assert (abs(off("line of sticking", p)) < 1e-9) == (p3 >= stick.start * (1.0 - 1e-12))
-        assert (abs(off("line of maximum compression", p)) < 1e-9) == (abs(v[2]) < 1e-9)
+        assert (abs(distance("line of sticking", p)) < 1e-9) == (p3 >= stick.start * (1.0 - 1e-12))
+        assert (abs(distance("line of maximum compression", p)) < 1e-9) == (abs(v[2]) < 1e-9)
     assert turn.start > stick.start
     solid = plots.impulse_space(ROD)
     assert solid.name == "3d"
@@ -313,7 +313,7 @@ def test_rouths_lines_meet_the_path_where_they_should() -> None:
 
 
 @pytest.mark.parametrize("against", ["slip angle", "restitution"])
-def test_the_map_of_regimes_against_single_impacts(against) -> None:
+def test_regime_map_agrees_with_single_impacts(against) -> None:
     ax = plots.regime_map(ROD, against, friction=1.2, resolution=24)
     (mesh,) = [c for c in ax.collections if c.get_array() is not None and c.get_array().size == 24**2]
     codes = np.asarray(mesh.get_array()).reshape(24, 24)
@@ -340,7 +340,7 @@ def test_the_map_of_regimes_against_single_impacts(against) -> None:
     np.testing.assert_allclose(star, [[ROD.friction, here]])
 
 
-def test_the_map_of_regimes_refuses() -> None:
+def test_invalid_regime_map_raises() -> None:
     still = pinimpact.ImpactProblem(np.eye(3), (0, 0, -1), 0.3, 0.5)
     with pytest.raises(pinimpact.InputError, match="without slip"):
         plots.regime_map(still)
@@ -358,7 +358,7 @@ def fall():
     return robot, pinimpact.simulate(scene, [0, 0, 0.65, 0, 0.5], [0.6, 0.1, 0, 0.5, 0], 0.6)
 
 
-def test_energy_is_drawn_between_the_steps_too(fall) -> None:
+def test_energy_is_drawn_between_steps(fall) -> None:
     robot, trajectory = fall
     ax = plots.energy(trajectory)
     (total,) = lines(ax, "kinetic + potential")
@@ -381,11 +381,11 @@ def test_energy_is_drawn_between_the_steps_too(fall) -> None:
     first = trajectory.impacts[0]
     at = total[total[:, 0] == first.time, 1]
     assert at[-1] - at[0] == pytest.approx(first.solution.work.total, abs=1e-9)
-    assert np.ptp(ax.get_ylim()) < 3.0 * np.ptp(total[:, 1])  # the change fills the picture
+    assert np.ptp(ax.get_ylim()) < 3.0 * np.ptp(total[:, 1])  # the change fills the axes
 
 
-def test_energy_of_time_steps_is_drawn_as_it_is(fall) -> None:
-    # a box, heavier on one side, that spins and strikes a wall: steps miss some of the work
+def test_energy_of_time_steps(fall) -> None:
+    # an unbalanced box spins and strikes a wall; steps have an error of the work
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "slides")
     inertia = pin.Inertia(1.0, np.array([0.05, 0.0, 0.0]), 0.01 * np.eye(3))
@@ -418,9 +418,9 @@ def test_gaps_modes_and_forces_over_time(fall) -> None:
     drawn = sorted(
         (bar.get_x(), bar.get_x() + bar.get_width(), row.get_label()) for row in ax.containers for bar in row
     )
-    told = [(mode.start, mode.end, mode.mode) for mode in trajectory.modes]
-    assert [row[2] for row in drawn] == [row[2] for row in told]
-    np.testing.assert_allclose([row[:2] for row in drawn], [row[:2] for row in told], atol=1e-12)
+    modes = [(mode.start, mode.end, mode.mode) for mode in trajectory.modes]
+    assert [row[2] for row in drawn] == [row[2] for row in modes]
+    np.testing.assert_allclose([row[:2] for row in drawn], [row[:2] for row in modes], atol=1e-12)
     assert len(lines(ax, "impact")) == len(trajectory.impacts)
     ax = plots.forces(trajectory, "tip")
     (normal,), (friction,) = lines(ax, "normal"), lines(ax, "friction")
@@ -431,7 +431,7 @@ def test_gaps_modes_and_forces_over_time(fall) -> None:
     assert not normal[normal[:, 0] < slip.start, 1].any()
 
 
-def test_an_overview_has_four_rows(fall) -> None:
+def test_overview_has_four_rows(fall) -> None:
     robot, trajectory = fall
     rows = plots.overview(trajectory, robot)
     assert [row.get_ylabel() for row in rows] == ["gap [m]", "", "normal force [N]", "change of energy [J]"]
@@ -456,7 +456,7 @@ def drawn_plots(fall):
     yield from plots.energy_figure(trajectory, "title").axes
 
 
-def test_legends_name_each_thing_once_and_cover_nothing(fall) -> None:
+def test_legends_have_no_duplicates_and_cover_no_lines(fall) -> None:
     count = 0
     for ax in drawn_plots(fall):
         legend = ax.get_legend()
@@ -472,7 +472,7 @@ def test_legends_name_each_thing_once_and_cover_nothing(fall) -> None:
         assert around.y0 <= box.y0
         assert box.y1 <= around.y1
         plot = ax.patch.get_window_extent()
-        if ax.name != "3d":  # there the axes fill the figure, and the legend has its corner
+        if ax.name != "3d":  # 3d axes fill the figure, with the legend in a corner
             assert not (box.x0 < plot.x1 and plot.x0 < box.x1 and box.y0 < plot.y1 and plot.y0 < box.y1)
     assert count > 10
 
@@ -498,7 +498,7 @@ def test_plots_draw_into_given_axes(fall) -> None:
     assert not pyplot.get_fignums()
 
 
-def test_hits_and_records_are_drawn_like_their_problems(fall) -> None:
+def test_plots_of_hits_and_records_equal_those_of_problems(fall) -> None:
     robot, trajectory = fall
     record = trajectory.impacts[0]
     hit = pinimpact.impact(robot.model, robot.data, record.q, record.v_before, trajectory.contacts[0])
@@ -506,7 +506,7 @@ def test_hits_and_records_are_drawn_like_their_problems(fall) -> None:
     np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-def test_colours_tell_the_phases_apart() -> None:
+def test_phases_have_different_colours() -> None:
     ax = plots.hodograph(ROD)
     colors = {line.get_label(): to_hex(line.get_color()) for line in ax.lines}
     assert colors["slip in compression"] == "#d55e00"
@@ -525,7 +525,7 @@ def test_figures_are_written(fall, tmp_path: Path) -> None:
         assert pixels.std() > 0.05
 
 
-def test_plots_cost_nothing_until_they_are_drawn() -> None:
+def test_import_does_not_load_matplotlib() -> None:
     code = (
         "import sys, pinimpact.visual\n"
         "from pinimpact.visual import plots\n"
@@ -535,7 +535,7 @@ def test_plots_cost_nothing_until_they_are_drawn() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
-def test_the_gallery_draws_what_the_page_shows() -> None:
+def test_gallery_draws_the_plots_of_the_page() -> None:
     root = Path(__file__).parents[1]
     spec = importlib.util.spec_from_file_location("plot_gallery", root / "examples" / "plot_gallery.py")
     gallery = importlib.util.module_from_spec(spec)

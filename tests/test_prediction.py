@@ -1,4 +1,4 @@
-"""Predictions: draws of the posterior, poses as such, faces of a body, errors."""
+"""Predictions: draws of parameters, positions and rotations, faces of a body, errors."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from pinimpact import Contact, InputError, Plane, Scene, UnknownNameError
 from pinimpact.studies import Identified, predict
 from pinimpact.visual.browser import open_page
 
-from .test_replay import BROWSER, in_a_browser, looked_at, motion_of, numbers
+from .test_replay import BROWSER, motion_of, needs_browser, numbers, open_in_browser
 
 NEVER = 1e-9
 
@@ -24,7 +24,7 @@ def _set(scene, name, value):
 
 
 def _body(contacts=()):
-    """Return a free ball, out of reach of its plane."""
+    """Return a scene of a free ball."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -50,19 +50,19 @@ def _fitted(**change):
 START = np.array([0, 0, 1.0, 0, 0, 0, 1])
 
 
-def test_parameters_have_the_covariance_of_the_fit_and_the_scatter():
+def test_covariance_of_drawn_parameters_is_that_of_fit_and_scatter():
     found = predict(
         _body(), _fitted(), START, np.zeros(6), NEVER, scatter={"friction": 0.03}, samples=600, seed=3
     )
     drawn = np.array([found.ensemble.columns[n] for n in ("friction", "restitution")])
     expected = np.array([[4e-4 + 9e-4, 1e-4], [1e-4, 9e-4]])
-    # entries of a sample covariance scatter by (s_ii s_jj + s_ij²) / n
+    # the variance of entries of a sample covariance is (s_ii s_jj + s_ij²)/n
     allowed = 4 * np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / 600)
     assert (np.abs(np.cov(drawn) - expected) < allowed).all()
     assert np.abs(drawn.mean(axis=1) - [0.3, 0.5]).max() < 4 * 0.04 / np.sqrt(600)
 
 
-def test_draws_stay_within_bounds():
+def test_draws_are_within_bounds():
     wide = _fitted(covariance=np.diag([1.0, 1.0]))
     columns = predict(_body(), wide, START, np.zeros(6), NEVER, samples=200).ensemble.columns
     assert columns["restitution"].min() >= 0.0
@@ -70,7 +70,7 @@ def test_draws_stay_within_bounds():
     assert set(columns["status"]) == {"OK"}
 
 
-def test_poses_are_those_of_the_start():
+def test_positions_and_rotations_without_motion():
     spread = {"q0": np.diag([0.01, 0.01, 0.01, 0.04, 0.04, 0.04])}
     turned = np.r_[0, 0, 1.0, Rotation.from_rotvec([0.4, -1.0, 2.0]).as_quat()]
     found = predict(_body(), _fitted(), turned, np.zeros(6), NEVER, start=spread, samples=600)
@@ -84,7 +84,7 @@ def test_poses_are_those_of_the_start():
 
 
 def test_faces_on_top():
-    lying = np.r_[0, 0, 1.0, Rotation.from_euler("y", np.pi / 4).as_quat()]  # −x and +z alike
+    lying = np.r_[0, 0, 1.0, Rotation.from_euler("y", np.pi / 4).as_quat()]  # −x and +z equally high
     spread = {"q0": np.diag([0, 0, 0, 1e-4, 1e-4, 1e-4])}
     faces = predict(_body(), _fitted(), lying, np.zeros(6), NEVER, start=spread, samples=400).faces()
     assert set(faces) == {"-x", "+z"}
@@ -96,12 +96,12 @@ G = 9.81
 
 
 def _inside(share, level, count):
-    """Return whether a part of a distribution is a level, within four standard deviations of its estimate."""
+    """Return whether an observed fraction is at a level, within four standard deviations."""
     return abs(share - level) < 4.0 * np.sqrt(level * (1.0 - level) / count)
 
 
-def test_a_ball_that_bounces_once_ends_where_its_distributions_say():
-    # z = r + e v τ − g τ²/2 at a time τ after a bounce at v; with x = ẋ T both are normal, of the same width
+def test_ball_that_bounces_once_against_closed_form():
+    # z = r + e v τ − g τ²/2 at τ after a bounce at v, and x = ẋ T, have normal distributions of equal width
     height, time, radius = 0.5, 0.55, 0.1
     scene = _body([Contact("tip", Plane(), radius=radius)])
     fall = np.sqrt(2.0 * height / G)
@@ -127,8 +127,8 @@ def test_a_ball_that_bounces_once_ends_where_its_distributions_say():
         assert _inside(stats.chi(2).cdf(away / width), level, 800)
 
 
-def test_a_block_that_slides_to_rest_ends_where_its_friction_says():
-    # after v²/(2 μ g), which falls with μ
+def test_block_that_slides_to_rest_against_closed_form():
+    # the distance v²/(2 μ g) decreases with μ
     speed, half = 1.0, 0.05
     corners = [
         Contact("tip", Plane(), 0.3, offset=(x, y, -half), name=f"{x} {y}")
@@ -161,7 +161,7 @@ def _gravity(scene, name, value):
     return replace(scene, model=model)
 
 
-def test_all_that_was_fitted_is_drawn_and_the_law_is_that_of_the_fit():
+def test_all_fitted_parameters_are_drawn_with_the_law_of_the_fit():
     fitted = _fitted(
         x=np.array([0.5, 0.1]),
         names=("restitution", "gravity:t1"),
@@ -176,7 +176,7 @@ def test_all_that_was_fitted_is_drawn_and_the_law_is_that_of_the_fit():
     assert ends.trajectory(0).contacts[0].restitution == ends.columns["restitution"][0]
 
 
-def test_a_cloud_is_replayed_about_the_sample_nearest_to_the_median(tmp_path):
+def test_replay_of_cloud_around_sample_nearest_to_median(tmp_path):
     spread = {"v0": np.diag([0.04, 0.04, 0.01, 1.0, 1.0, 1.0])}
     found = predict(_body(), _fitted(), START, np.zeros(6), 0.2, start=spread, samples=20)
     shown = found.replay(_body().model, tmp_path / "cloud.html", samples=6)
@@ -197,8 +197,8 @@ def test_a_cloud_is_replayed_about_the_sample_nearest_to_the_median(tmp_path):
     assert not any(np.allclose(poses[-1], main, atol=1e-6) for poses in others)
 
 
-@in_a_browser
-def test_a_browser_shows_the_cloud(tmp_path):
+@needs_browser
+def test_cloud_in_browser(tmp_path):
     spread = {"v0": np.diag([0.04, 0.04, 0.01, 1.0, 1.0, 1.0])}
     found = predict(_body(), _fitted(), START, np.zeros(6), 0.2, start=spread, samples=9)
     ball = pin.GeometryModel()
@@ -207,7 +207,7 @@ def test_a_browser_shows_the_cloud(tmp_path):
     pictures = []
     for samples in (1, 8):
         shown = found.replay(robot, tmp_path / f"{samples}.html", samples=samples)
-        looked_at(shown, "t=0.2")
+        open_in_browser(shown, "t=0.2")
         picture = tmp_path / f"{samples}.png"
         open_page(BROWSER, shown.path, "t=0.2", size=(480, 360), screenshot=picture)
         pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)[:, 200:]

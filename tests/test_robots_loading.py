@@ -1,4 +1,4 @@
-"""Robots by name and by file, and what is said where one cannot be had."""
+"""Loading of robots by name and from files; messages if a robot cannot be loaded."""
 
 import shutil
 import subprocess
@@ -48,7 +48,7 @@ def urdf(tmp_path):
     return write
 
 
-def test_no_file_is_left_open(monkeypatch):
+def test_files_are_closed(monkeypatch):
     opened = []
 
     def remembering(*args, **kwargs):
@@ -72,7 +72,7 @@ def test_names_of_example_robot_data():
 @pytest.mark.parametrize(
     ("name", "free_flyer", "nv"), [("ur5", True, 12), ("ur5", False, 6), ("solo12", False, 12)]
 )
-def test_base_of_named_robots_as_asked_for(name, free_flyer, nv):
+def test_free_or_fixed_base_of_named_robots(name, free_flyer, nv):
     robot = pinimpact.load_robot(name, free_flyer=free_flyer)
     assert robot.model.nv == nv
     assert robot.q0.shape == (robot.model.nq,)
@@ -96,7 +96,7 @@ def test_bundled_names():
     assert pinimpact.load_robot("rod").model.nv == 5
 
 
-def test_bundled_models_are_found_in_an_installed_package(tmp_path):
+def test_bundled_models_of_installed_package(tmp_path):
     package = Path(pinimpact.__file__).parent
     shutil.copytree(package, tmp_path / "pinimpact", ignore=shutil.ignore_patterns("__pycache__", "models"))
     shutil.copytree(next(iter(bundled_models().values())).parent, tmp_path / "pinimpact" / "models")
@@ -110,20 +110,20 @@ def test_bundled_models_are_found_in_an_installed_package(tmp_path):
 @pytest.mark.parametrize(
     ("name", "offered"), [("pnda", "'panda'"), ("UR-5", "'ur5'"), ("pendulum", "'spherical_pendulum'")]
 )
-def test_unknown_names_offer_near_ones(name, offered):
+def test_unknown_names_suggest_similar_ones(name, offered):
     with pytest.raises(pinimpact.UnknownNameError, match=offered) as caught:
         pinimpact.load_robot(name)
     assert caught.value.field == "robot"
     assert caught.value.value == name
 
 
-def test_a_missing_file_is_named():
+def test_missing_file_is_named():
     with pytest.raises(pinimpact.ModelError, match=r"there is no file .*nothing\.urdf"):
         pinimpact.load_robot("here/nothing.urdf")
 
 
 @pytest.mark.parametrize("text", ["", "<robot", "<robot name='x'></robot>", "no xml at all"])
-def test_a_broken_file_is_named(tmp_path, text):
+def test_invalid_file_is_named(tmp_path, text):
     path = tmp_path / "broken.urdf"
     path.write_text(text)
     with pytest.raises(pinimpact.ModelError, match=r"broken\.urdf"):
@@ -144,26 +144,26 @@ def test_a_broken_file_is_named(tmp_path, text):
         ('ixy="0"', 'ixy=""', "ixy='' given for the inertia of link 'arm'"),
     ],
 )
-def test_why_a_file_cannot_be_read_is_said(urdf, right, wrong, said):
+def test_errors_of_urdf_are_explained(urdf, right, wrong, said):
     path = urdf()
     path.write_text(path.read_text().replace(right, wrong))
     with pytest.raises(pinimpact.ModelError, match=said):
         pinimpact.load_robot(path)
 
 
-def test_a_robot_without_inertia_is_refused(urdf):
+def test_robot_without_inertia_raises(urdf):
     with pytest.raises(pinimpact.ModelError, match="no inertia"):
         pinimpact.load_robot(urdf(inertial=""))
 
 
-def test_a_robot_without_its_meshes_still_moves(urdf):
+def test_robot_with_missing_mesh_is_loaded_with_a_warning(urdf):
     with pytest.warns(UserWarning, match=r"lost\.stl"):
         robot = pinimpact.load_robot(urdf(visual=LOST_MESH))
     assert robot.visual_model.ngeoms == 0
     assert np.isfinite(pin.crba(robot.model, robot.data, robot.q0)).all()
 
 
-# ---- what a URDF says and Pinocchio takes without a word
+# ---- contents of URDF files that Pinocchio ignores without a warning
 
 TIP = """<joint name="tip" type="revolute"><parent link="right_finger"/><child link="right_tip"/>
   <origin xyz="1 0 0"/><axis xyz="0 0 1"/>{limit}<mimic joint="right" multiplier="0.5" offset="-0.3"/></joint>
@@ -180,7 +180,7 @@ def gripper(tmp_path):
     return write
 
 
-def test_mimic_joints_of_a_file_are_told(gripper):
+def test_ignored_mimic_joints_warn(gripper):
     with pytest.warns(UserWarning, match=r"mimic joints right, tip of ") as caught:
         robot = pinimpact.load_robot(gripper())
     assert robot.model.nv == 4
@@ -188,11 +188,11 @@ def test_mimic_joints_of_a_file_are_told(gripper):
     assert pinimpact.load_robot(gripper(), mimic=False).model.nv == 4
 
 
-def test_mimic_joints_follow_where_that_is_asked_for(gripper):
-    """Against the uncoupled robot with q = G p + g: M = Gᵀ M G, J = J G, and v⁺ from those."""
+def test_coupled_mimic_joints(gripper):
+    """Compare v⁺ with that from Gᵀ M G and J G of the uncoupled robot at q = G p + g."""
     one, free = pinimpact.load_robot(gripper(), mimic=True), pinimpact.load_robot(gripper(), mimic=False)
     assert (one.nq, one.nv, len(one.q0)) == (2, 2, 2)
-    coupling = np.array([[1, 0], [0, 1], [0, -2], [0, -1]])  # the tip follows the leader's leader
+    coupling = np.array([[1, 0], [0, 1], [0, -2], [0, -1]])  # the tip mimics a mimic joint
     q, v = np.array([0.3, 0.7]), np.array([1.0, -0.5])
     full = coupling @ q + [0, 0, 0.1, 0.5 * 0.1 - 0.3]
     contact = pinimpact.Contact(
@@ -211,7 +211,7 @@ def test_mimic_joints_follow_where_that_is_asked_for(gripper):
     assert np.abs(hit.v - v).max() > 0.1
 
 
-def test_mimic_joints_of_a_named_robot_follow_where_that_is_asked_for():
+def test_coupled_mimic_joints_of_named_robot():
     robot = pinimpact.load_robot("panda", mimic=True)
     assert (robot.nq, robot.nv, len(robot.q0)) == (8, 8, 8)
     assert robot.visual_model.ngeoms == pinimpact.load_robot("panda").visual_model.ngeoms
@@ -220,13 +220,13 @@ def test_mimic_joints_of_a_named_robot_follow_where_that_is_asked_for():
 
 
 @pytest.mark.parametrize("leader", ["tip", "nobody"])
-def test_mimic_joints_that_cannot_be_coupled_are_named(gripper, leader):
+def test_invalid_mimic_joints_are_named(gripper, leader):
     with pytest.warns(UserWarning, match=r"cannot couple the joints right\b"):
         robot = pinimpact.load_robot(gripper(leader), mimic=True)
     assert robot.model.nv >= 3
 
 
-def test_a_negative_mass_is_said_to_be_one(urdf):
+def test_negative_mass_is_named(urdf):
     path = urdf(inertial=INERTIAL.replace('mass value="1"', 'mass value="-2.5"'))
     with pytest.raises(pinimpact.ModelError, match=r"link 'arm' is negative \(-2\.5 kg\)"):
         pinimpact.load_robot(path)
@@ -242,7 +242,7 @@ MESH = '<visual><geometry><mesh filename="package://shapes/box.obj"/></geometry>
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def test_meshes_are_found_where_one_is_told(urdf, tmp_path):
+def test_meshes_in_given_package_folders(urdf, tmp_path):
     package = tmp_path / "far" / "away" / "shapes"
     package.mkdir(parents=True)
     (package / "box.obj").write_text(OBJ)
@@ -252,7 +252,7 @@ def test_meshes_are_found_where_one_is_told(urdf, tmp_path):
         assert pinimpact.load_robot(path).visual_model.ngeoms == 0
 
 
-def test_one_mesh_that_is_missing_costs_its_own_shape_only(urdf, tmp_path):
+def test_missing_mesh_removes_only_its_shape(urdf, tmp_path):
     (tmp_path / "shapes").mkdir()
     (tmp_path / "shapes" / "box.obj").write_text(OBJ)
     path = urdf(visual=LOST_MESH + MESH + BOX + MESH)
@@ -292,7 +292,7 @@ def mjcf(tmp_path):
     return write
 
 
-def test_a_robot_of_mujoco(mjcf):
+def test_robot_from_mjcf(mjcf):
     robot = pinimpact.load_robot(mjcf())
     model = robot.model
     assert list(model.names)[1:] == ["root", "knee"]
@@ -322,7 +322,7 @@ def part_of_mujoco(path, compiler="", option="", body="", joint=""):
     return path
 
 
-def test_limits_of_mujoco_are_those_of_the_file(tmp_path):
+def test_joint_limits_from_mjcf(tmp_path):
     text = """<mujoco><worldbody><body name="one" pos="0 0 1"><freejoint/>{rod}
       <body name="two"><joint name="a" axis="0 1 0" ref="30" range="-50 100"/>{rod}
         <body name="three"><joint name="b" type="slide" axis="1 0 0" ref=".2" range="-1 3"/>{rod}</body>
@@ -336,7 +336,7 @@ def test_limits_of_mujoco_are_those_of_the_file(tmp_path):
     np.testing.assert_allclose(model.upperPositionLimit[7:], [np.deg2rad(100.0), 3.0], rtol=1e-14)
 
 
-def test_the_last_gravity_of_mujoco_holds(tmp_path):
+def test_last_gravity_of_mjcf_is_used(tmp_path):
     path = tmp_path / "x.xml"
     twice = part_of_mujoco(path, option='<option timestep=".1"/><option gravity="0 1 -4"/>')
     assert pinimpact.load_robot(twice).model.gravity.linear.tolist() == [0, 1, -4]
@@ -344,7 +344,7 @@ def test_the_last_gravity_of_mujoco_holds(tmp_path):
     assert pinimpact.load_robot(without).model.gravity.linear.tolist() == [0, 0, 0]
 
 
-def test_a_base_of_mujoco_that_has_joints_is_not_freed(tmp_path):
+def test_free_base_for_mjcf_with_joints_to_the_world_raises(tmp_path):
     path = part_of_mujoco(tmp_path / "x.xml")
     with pytest.raises(pinimpact.ModelError, match=r"free_flyer: True .* has joints to the world"):
         pinimpact.load_robot(path, free_flyer=True)
@@ -352,7 +352,7 @@ def test_a_base_of_mujoco_that_has_joints_is_not_freed(tmp_path):
     assert pinimpact.load_robot(path, free_flyer=True).model.nv == 6
 
 
-def test_trees_of_mujoco_beside_the_first_are_named(tmp_path):
+def test_ignored_trees_of_mjcf_are_named(tmp_path):
     body = '<body name="{0}"><joint name="{0}"/>' + ROD + "</body>"
     path = tmp_path / "x.xml"
     still = '<body name="table"><geom type="box" size="1 1 1"/></body>'
@@ -376,7 +376,7 @@ def test_trees_of_mujoco_beside_the_first_are_named(tmp_path):
         ({"joint": 'range="-1 2"/><joint type="slide" axis="1 0 0" ref=".3" range="-3 1"'}, ""),
     ],
 )
-def test_what_differs_from_mujoco_is_named(tmp_path, changes, said):
+def test_differences_from_mujoco_are_named(tmp_path, changes, said):
     pytest.importorskip("mujoco")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -386,7 +386,7 @@ def test_what_differs_from_mujoco_is_named(tmp_path, changes, said):
     assert all(f"differs from MuJoCo's in {said}: " in text for text in texts)
 
 
-def test_a_mesh_of_mujoco_that_is_missing_costs_its_own_shape_only(mjcf):
+def test_missing_mesh_of_mjcf_removes_only_its_shape(mjcf):
     without = pinimpact.load_robot(mjcf()).visual_model.ngeoms
     meshes = '<geom type="mesh" mesh="there" mass="1"/><geom type="mesh" mesh="lost" mass="1"/>'
     with pytest.warns(UserWarning, match=r"meshes .*: lost\.obj$") as caught:
@@ -395,7 +395,7 @@ def test_a_mesh_of_mujoco_that_is_missing_costs_its_own_shape_only(mjcf):
     assert robot.visual_model.ngeoms == without + 1
 
 
-def test_what_mujoco_has_and_pinocchio_leaves_out_is_told(mjcf):
+def test_ignored_constraints_of_mjcf_warn(mjcf):
     weld = '<equality><weld body1="leg"/></equality>'
     with pytest.warns(UserWarning, match=r"equality constraints of .* \(weld\) are ignored"):
         pinimpact.load_robot(mjcf(more=weld))
@@ -409,7 +409,7 @@ def test_what_mujoco_has_and_pinocchio_leaves_out_is_told(mjcf):
         ("robot.xml", "<mujoco model='x'><worldbody/></mujoco>", "not an MJCF file that Pinocchio can read"),
     ],
 )
-def test_files_that_pinocchio_does_not_read_are_told(tmp_path, name, text, said):
+def test_unsupported_file_formats_raise(tmp_path, name, text, said):
     if "sdf" in name and pin.WITH_SDFORMAT:
         pytest.skip("this Pinocchio reads SDF")
     (tmp_path / name).write_text(text)

@@ -1,4 +1,4 @@
-"""Controls that are sampled: exact motion between samples, each taken once and in order."""
+"""Sampled controls: exact motion between samples, which are evaluated once and in order."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from .scene_models import UP, G, ball, run, slider
 
 
 def mass(control, **options):
-    """A free mass of 1 kg."""
+    """Return a scene of a free mass of 1 kg."""
     return Scene(slider(), control=control, without=["gravity"], **options)
 
 
 def advanced(x, v, u, time):
-    """Return where a mass of 1 kg is under a constant force after a time."""
+    """Return position and velocity of a mass of 1 kg after a time under a constant force."""
     return x + v * time + 0.5 * u * time**2, v + u * time
 
 
-class Asked:
-    """A control that keeps what it was asked."""
+class Recording:
+    """A control that records its arguments."""
 
     def __init__(self, control=lambda t, q, v: np.zeros_like(v)):
         self.control = control
@@ -38,7 +38,7 @@ class Asked:
 
 
 @pytest.mark.parametrize(("kp", "kd"), [(40.0, 9.0), (400.0, 2.0), (2000.0, 60.0)])
-def test_a_sampled_pd_is_its_discrete_recursion(kp, kd):
+def test_sampled_pd_control_is_a_discrete_recursion(kp, kd):
     period, target = 0.01, np.array([0.3, -0.2, 0.1])
     start, speed = np.array([0.0, 0.1, 0.0]), np.array([1.0, 0.0, -1.0])
     scene = mass(lambda t, q, v: kp * (target - q) - kd * v, period=period)
@@ -56,7 +56,7 @@ def test_a_sampled_pd_is_its_discrete_recursion(kp, kd):
 
 
 @pytest.mark.parametrize("periods", [0.25, 1.0, 2.0, 2.5, 7.0])
-def test_a_force_acts_from_its_sample_on_by_the_delay(periods):
+def test_forces_act_after_the_delay(periods):
     period, late, kp, kd = Fraction(1, 50), Fraction(periods) / 50, 30.0, 4.0
     scene = mass(lambda t, q, v: -kp * q - kd * v, period=float(period), delay=float(late))
     trajectory = run(scene, [1.0, 0, 0], np.zeros(3), 1.0)
@@ -80,42 +80,42 @@ def test_a_force_acts_from_its_sample_on_by_the_delay(periods):
     ("period", "duration", "count"),
     [(0.01, 1.0, 100), (0.1, 0.3, 3), (0.3, 1.0, 4), (0.7, 0.7, 1), (5.0, 1.0, 1), (1e-7, 2e-5, 200)],
 )
-def test_each_sample_is_taken_once_and_in_order(period, duration, count):
-    asked = Asked()
-    run(mass(asked, period=period), [1.0, 0, 0], np.ones(3), duration)
-    assert asked.times == [k * period for k in range(count)]
-    for t, (q, v) in zip(asked.times, asked.states, strict=True):
+def test_samples_are_evaluated_once_and_in_order(period, duration, count):
+    recorded = Recording()
+    run(mass(recorded, period=period), [1.0, 0, 0], np.ones(3), duration)
+    assert recorded.times == [k * period for k in range(count)]
+    for t, (q, v) in zip(recorded.times, recorded.states, strict=True):
         assert q == pytest.approx(np.array([1.0, 0, 0]) + t, abs=1e-13)
         assert v == pytest.approx(np.ones(3), abs=1e-13)
 
 
-def test_a_sample_at_the_time_of_an_impact_sees_what_comes_after_it():
+def test_sample_at_the_time_of_an_impact():
     e, t0 = 0.5, 0.25
     contact = Contact("center", Plane(), radius=0.1, restitution=e, name="ball")
-    asked = Asked()
-    scene = Scene(ball(), [contact], control=asked, period=t0 / 5)
+    recorded = Recording()
+    scene = Scene(ball(), [contact], control=recorded, period=t0 / 5)
     trajectory = run(scene, [0, 0, 0.1 + 0.5 * G * t0**2, *UP], np.zeros(6), 0.4)
     assert len(trajectory.impacts) == 1
-    assert asked.times == [k * (t0 / 5) for k in range(8)]
-    speed = asked.states[5][1][2]
-    # the impact is at the sample to rounding: before it or after it, nothing in between
+    assert recorded.times == [k * (t0 / 5) for k in range(8)]
+    speed = recorded.states[5][1][2]
+    # the impact is at the sample to rounding, so the sample has the velocity before or after it
     assert min(abs(speed - e * G * t0), abs(speed + G * t0)) < 1e-9
-    assert asked.states[6][1][2] == pytest.approx(e * G * t0 - G * t0 / 5, abs=1e-9)
+    assert recorded.states[6][1][2] == pytest.approx(e * G * t0 - G * t0 / 5, abs=1e-9)
 
 
-def test_steps_that_are_refused_ask_nothing_again():
+def test_rejected_steps_do_not_repeat_samples():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRUBY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(
         joint, pin.Inertia(1.0, np.array([0, 0, -1e-3]), np.eye(3) * 1e-9), pin.SE3.Identity()
     )
-    asked = Asked()
-    trajectory = simulate(Scene(model, control=asked, period=0.05), [1.0, 0.0], [300.0], 1.0, rtol=1e-11)
+    recorded = Recording()
+    trajectory = simulate(Scene(model, control=recorded, period=0.05), [1.0, 0.0], [300.0], 1.0, rtol=1e-11)
     assert trajectory.statistics["rejected"] > 0
-    assert asked.times == [k * 0.05 for k in range(20)]
+    assert recorded.times == [k * 0.05 for k in range(20)]
 
 
-def test_a_control_with_a_state_of_its_own_is_its_recursion():
+def test_sampled_control_with_internal_state():
     period, kp, ki = 0.02, 3.0, 8.0
     total = [0.0]
 
@@ -131,14 +131,14 @@ def test_a_control_with_a_state_of_its_own_is_its_recursion():
     assert trajectory.q[-1, 0] == pytest.approx(x, abs=1e-12)
 
 
-def test_a_control_that_jumps_costs_no_more_than_its_samples():
+def test_discontinuous_sampled_control_needs_one_step_per_sample():
     scene = mass(lambda t, q, v: -np.sign(q), period=0.01)
     trajectory = run(scene, [1.0, 0, 0], np.zeros(3), 1.0)
     assert trajectory.statistics["steps"] == 100
     assert trajectory.statistics["rejected"] == 0
 
 
-def test_what_goes_wrong_at_a_sample_is_told_with_the_motion_until_then():
+def test_error_at_a_sample_has_the_partial_trajectory():
     def failing(t, q, v):
         if t > 0.25:
             raise RuntimeError("no torque left")
@@ -154,7 +154,7 @@ def test_what_goes_wrong_at_a_sample_is_told_with_the_motion_until_then():
             simulate(mass(lambda t, q, v, wrong=wrong: wrong, period=0.1), np.zeros(3), np.ones(3), 1.0)
 
 
-def test_sampling_that_makes_no_sense_is_refused():
+def test_invalid_period_or_delay_raises():
     def control(t, q, v):
         return 0 * v
 
@@ -170,7 +170,7 @@ def test_sampling_that_makes_no_sense_is_refused():
         mass(control, delay=0.1)
 
 
-def test_the_plan_tells_of_the_sampling_and_it_can_be_switched_off():
+def test_plan_and_scene_without_sampled_control():
     scene = mass(lambda t, q, v: np.ones(3), period=1e-3, delay=2e-3)
     assert (
         scene.plan()["control"].reason == "a control callback, sampled every 0.001 s and held, 0.002 s late"
@@ -179,18 +179,18 @@ def test_the_plan_tells_of_the_sampling_and_it_can_be_switched_off():
     assert pinimpact.simulate(still, np.zeros(3), np.zeros(3), 0.1).q[-1] == pytest.approx(np.zeros(3))
 
 
-def test_the_work_of_a_sampled_control_is_that_of_its_forces():
+def test_work_of_sampled_control():
     trajectory = run(mass(lambda t, q, v: [2.0, 0, 0], period=0.03), np.zeros(3), np.zeros(3), 1.0)
     assert trajectory.energy.control[-1] == pytest.approx(2.0, rel=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
-def test_gains_that_are_too_high_for_the_period_end_with_an_error(scheme):
+def test_unstable_gains_of_sampled_control_raise(scheme):
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1e-3, 0.1), pin.SE3.Identity())
-    scene = Scene(model, control=JointPD(1.0, 5.0, [0.0]), period=0.01)  # v grows by d T/m = 50 a period
+    scene = Scene(model, control=JointPD(1.0, 5.0, [0.0]), period=0.01)  # v grows by d T/m = 50 per period
     with pytest.raises(SimulationError, match="velocities are not finite") as error:
         simulate(scene, [0.0], [1.0], 3.0, scheme=scheme)
     assert 0.5 < error.value.partial.t[-1] < 3.0

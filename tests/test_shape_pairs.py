@@ -339,17 +339,17 @@ def test_pairs_reported_as_apart_stay_apart():
         pin.forwardKinematics(robot.model, data, q)
         return np.array([gap(*pair.placed(data)).value for pair in pairs])
 
-    told = 0
+    found_apart = 0
     for step in steps:
         found = watch.at(step.q)
         exact = gaps(step.q)
         assert (found <= exact + 1e-9).all()
         assert (found[exact > 0.01] > 0.3 * exact[exact > 0.01]).all()
         apart = watch.over(step, peaks(step))
-        told += apart.sum()
+        found_apart += apart.sum()
         least = np.min([gaps(step.at(t)[0]) for t in np.linspace(step.start, step.start + step.h, 9)], axis=0)
         assert (least[apart] > 0.0).all()
-    assert told > 0.95 * len(pairs) * len(steps)
+    assert found_apart > 0.95 * len(pairs) * len(steps)
 
 
 def test_invalid_pairs_raise():

@@ -1,4 +1,4 @@
-"""The memory that kernels share by name: what is declared is what Python and compiled code see."""
+"""Workspaces: declared fields in Python and in compiled code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pinimpact._compile.workspace import Workspace, count, flag, integer, intege
 
 
 class Sample(Workspace):
-    """One field of every kind."""
+    """A workspace with one field of each kind."""
 
     rows = size("rows")
     columns = size("columns")
@@ -41,7 +41,7 @@ def sample(rows=4, columns=3, **arrays):
 
 @numba.njit
 def write(work, active):
-    """Write a number that tells its place into every entry of every field."""
+    """Set each entry of all fields to a number that depends on its indices."""
     work.active = active
     work.factor = 2
     work.total += 3
@@ -61,7 +61,7 @@ def write(work, active):
 
 
 @pytest.mark.parametrize("function", [write, write.py_func], ids=["compiled", "Python"])
-def test_what_kernels_write_is_what_python_reads(function):
+def test_values_written_by_kernels_are_read_in_python(function):
     work = sample()
     function(work, 2)
     function(work, 2)
@@ -77,7 +77,7 @@ def test_what_kernels_write_is_what_python_reads(function):
     assert np.array_equal(work.marks, np.arange(4))
 
 
-def test_arrays_that_are_given_are_used_in_place():
+def test_given_arrays_are_used_in_place():
     table = np.zeros((4, 3))
     work = sample(table=table)
     write(work, 1)
@@ -87,14 +87,14 @@ def test_arrays_that_are_given_are_used_in_place():
 
 @pytest.mark.parametrize("function", [write, write.py_func], ids=["compiled", "Python"])
 @pytest.mark.parametrize("active", [5, -1])
-def test_a_count_stays_within_its_limit(function, active):
+def test_count_out_of_range_raises(function, active):
     work = sample()
     with pytest.raises(ValueError, match="active"):
         function(work, active)
     assert work.active == 0
 
 
-def test_python_sets_numbers_and_counts_but_no_sizes_and_no_arrays():
+def test_numbers_and_counts_can_be_set_but_not_sizes_and_arrays():
     work = sample()
     work.active, work.factor, work.ready = 4, 0.25, True
     assert (work.active, work.factor, work.ready) == (4, 0.25, True)
@@ -107,7 +107,7 @@ def test_python_sets_numbers_and_counts_but_no_sizes_and_no_arrays():
 
 
 @pytest.mark.parametrize("name", ["rows", "table"])
-def test_kernels_cannot_move_arrays_or_sizes(name):
+def test_kernels_cannot_set_arrays_or_sizes(name):
     source = {"rows": lambda work: work.rows, "table": lambda work: work.table}[name]
 
     @numba.njit
@@ -136,12 +136,12 @@ def test_kernels_cannot_move_arrays_or_sizes(name):
     ],
     ids=["shape", "precision", "integers", "order", "strides"],
 )
-def test_an_array_unlike_its_declaration_is_refused(array):
+def test_array_unlike_its_declaration_raises(array):
     with pytest.raises(ValueError, match=r"^table: .* expected \(by rows\)"):
         sample(table=array)
 
 
-def test_what_is_missing_or_unknown_is_refused():
+def test_missing_or_unknown_fields_raise():
     with pytest.raises(ValueError, match="turned: missing"):
         Sample({"rows": 4, "columns": 3}, {})
     with pytest.raises(ValueError, match=r"sizes: \['rows'\] given"):
@@ -150,7 +150,7 @@ def test_what_is_missing_or_unknown_is_refused():
         sample(tabel=np.zeros((4, 3)))
 
 
-def test_it_cannot_be_copied_pickled_or_moved():
+def test_workspace_cannot_be_copied_pickled_or_moved():
     work = sample()
     with pytest.raises(TypeError, match="addresses"):
         pickle.dumps(work)
@@ -160,8 +160,8 @@ def test_it_cannot_be_copied_pickled_or_moved():
         work.append(0)
 
 
-def test_kernels_tell_workspaces_apart_without_asking_python(monkeypatch):
-    # numba would take two classes of bytearrays for one, and ask Python about the second at every call
+def test_types_of_workspaces_are_dispatched_without_python(monkeypatch):
+    # numba would take two subclasses of bytearray for one type, and call Python for the second at each call
     class Other(Workspace):
         """Another declaration."""
 
@@ -181,7 +181,7 @@ def test_kernels_tell_workspaces_apart_without_asking_python(monkeypatch):
     assert (columns(one), length(other)) == (3, 7)
 
 
-def test_its_type_changes_with_the_declaration():
+def test_type_depends_on_declaration():
     class Other(Workspace):
         """The same fields in another order."""
 
@@ -189,7 +189,7 @@ def test_its_type_changes_with_the_declaration():
         rows = size("rows")
 
     class Same(Workspace):
-        """The same fields, other words."""
+        """The same fields with other meanings."""
 
         columns = size("how many across")
         rows = size("how many down")
@@ -211,8 +211,8 @@ print(" ".join(repr(float(x)) for x in (*run.q[-1], *run.v[-1], run.impacts[0].t
 """
 
 
-def test_scenes_run_with_the_jit_off():
-    """A ball falls, slides and rolls alike whether its kernels are compiled or plain Python."""
+def test_scenes_run_without_compiler():
+    """The motion of a ball is the same with compiled kernels and in plain Python."""
     runs = []
     for disabled in ("0", "1"):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disabled}
@@ -224,7 +224,7 @@ def test_scenes_run_with_the_jit_off():
     assert runs[1][-1] == pytest.approx(np.sqrt(2 * 0.1 / 9.81), rel=1e-12)
 
 
-def test_the_values_of_one_are_copied_into_another_but_not_its_addresses():
+def test_set_values_copies_values_but_not_addresses():
     one, other = sample(), sample()
     write(one, 2)
     turned, addresses = other.turned, other.integers[[Sample.table.slot, Sample.turned.slot]].copy()
@@ -233,13 +233,13 @@ def test_the_values_of_one_are_copied_into_another_but_not_its_addresses():
     assert (other.integers[[Sample.table.slot, Sample.turned.slot]] == addresses).all()
     for name in ("active", "total", "factor", "ready", "table", "front", "square", "blocks", "marks"):
         assert np.array_equal(getattr(other, name), getattr(one, name))
-    assert not turned.any()  # its memory was given
+    assert not turned.any()  # given arrays are not copied
     one.table[:] = 7.0
     assert (other.table != 7.0).all()
 
 
 class Growing(Workspace):
-    """What has room for so many."""
+    """A workspace whose size can grow."""
 
     room = size("room")
     columns = size("columns")
@@ -252,11 +252,11 @@ class Growing(Workspace):
 
 @numba.njit
 def total_of(work):
-    """Add up what is in use, as compiled code sees it."""
+    """Return a weighted sum of the entries in use."""
     return work.front.sum() + 100.0 * work.square.sum() + 1e4 * work.flat[1].sum()
 
 
-def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
+def test_enlarge_keeps_entries_in_use():
     work = Growing({"room": 2, "columns": 3}, {})
     work.active = 2
     work.front[:], work.square[:], work.other[:] = [1.0, 2.0], [[3.0, 4.0], [5.0, 6.0]], 9.0
@@ -268,13 +268,13 @@ def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
     values = work.values()
     work.enlarge({"room": 5})
     work.active = 5
-    work.set_values(values)  # of the sizes before
+    work.set_values(values)  # values of the previous size
     assert (work.room, work.active, total_of(work)) == (2, 2, before)
     work.enlarge({"room": 5})
     assert (work.room, work.active, total_of(work)) == (5, 2, before)
     assert np.array_equal(work.flat, np.arange(12.0).reshape(2, 2, 3))
     assert np.array_equal(work.other, other)
-    work.enlarge({"room": 3})  # not smaller
+    work.enlarge({"room": 3})  # no effect
     work.active = 5
     assert (work.room, work.square.shape) == (5, (5, 5))
     work.square[:] = 1.0
@@ -282,7 +282,7 @@ def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
     assert total_of(work) == 2500.0
 
 
-def test_a_workspace_that_nothing_refers_to_is_freed():
+def test_unreferenced_workspace_is_freed():
     work = sample()
     write(work, 2)
     assert work.front.shape == (2,)

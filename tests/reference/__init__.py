@@ -1,1 +1,1 @@
-"""Reference answers to the contact-space problem in multiple precision, and the stored table of them."""
+"""Multiple-precision reference solutions of the contact-space problem, and a stored table of them."""

@@ -1,9 +1,9 @@
-"""Small arms in multiple precision, from the very numbers of their URDF: W and v unrounded.
+"""Contact-space problems of small arms in multiple precision.
 
-An arm of one to three joints hangs on a base that is turned by any angles; its tip meets a plane of any
-normal. Its axes are parallel, or each link is turned against the one before. Everything is doubles as the
-package gets them, and everything that follows is formed with `mpmath`: rotations, Jacobian, mass matrix.
-W = FFᵀ and v = Fr have exactly the rank that the mechanism has.
+An arm of one to three joints is on a base of any orientation; its tip is in contact with a plane of any
+normal. Its axes are parallel, or each link is rotated relative to the previous one. Inputs are the doubles of
+the URDF; rotations, Jacobian and mass matrix are computed with `mpmath`. W = FFᵀ and v = Fr have exactly the
+rank of the mechanism.
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ import mpmath as mp
 from mpmath import mpf
 
 MASS, REACH, LENGTH, CENTRE, INERTIA = 1.25, 0.375, 0.5, 0.25, 0.03125
-"""Of each link: mass, distance of the tip and of the next joint, centre of mass, inertia about it."""
+"""Mass of each link [kg], distances of the tip, the next joint and the centre of mass from its joint [m], and
+moment of inertia about the centre of mass [kg m²]."""
 
 _BITS = 80
-"""To so many bits F and r are rounded, so that W and v are exact in the precision of the reference."""
+"""Precision to which F and r are rounded, so that W and v are exact in the precision of the reference."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm that strikes.
+    """An arm at an impact.
 
     Attributes:
-        rpy: Roll, pitch and yaw of its base.
-        normal: Of the plane.
-        q, v: One to three angles and rates.
-        twists: Roll, pitch and yaw of each further joint against the one before; none: parallel axes.
+        rpy: Roll, pitch and yaw of the base [rad].
+        normal: Normal of the plane.
+        q, v: One to three angles and their rates.
+        twists: Roll, pitch and yaw of each further joint relative to the previous one [rad]; empty for
+            parallel axes.
     """
 
     rpy: tuple[float, float, float]
@@ -61,17 +63,17 @@ class Arm:
         )
 
     def contact_problem(self, aligned: float = 0.0, digits: int = 60) -> tuple[list[list[mpf]], list[mpf]]:
-        """Return W (3, 3) and v (3) in contact axes.
+        """Return W (3, 3) and v (3,) in contact axes, and these axes (3, 3).
 
         Args:
-            aligned: Angles up to this one between the arm and the plane or its normal are taken as zero, as
-                they are meant: π/2 is no double. The tangent axes then lie along and across the arm.
-            digits: The precision.
+            aligned: Angle between the arm and the plane or its normal up to which it is taken as zero, since
+                π/2 is not a double. The tangent axes are then along and across the arm.
+            digits: Precision.
         """
         if self.twists:
             return self._spatial(digits)
         with mp.workdps(digits):
-            plane = _axes(self.normal) * _rotation(self.rpy)[:, 0:2]  # the arm's own axes in contact axes
+            plane = _axes(self.normal) * _rotation(self.rpy)[:, 0:2]  # axes of the arm in contact axes
             jacobian, mass = self._planar()
             across = mp.matrix([mp.fsum(r) for r in _cross(plane[:, 0], plane[:, 1])])
             turn = mp.eye(3)
@@ -94,7 +96,7 @@ class Arm:
             return (factor * factor.T).tolist(), list(factor * made), turn.tolist()
 
     def _spatial(self, digits: int) -> tuple[list[list[mpf]], list[mpf]]:
-        """Return what `contact_problem` does for axes that are not parallel: of full rank, as joints go."""
+        """Return the result of `contact_problem` for axes that are not parallel."""
         n = len(self.q)
         with mp.workdps(digits):
             turn, place = _rotation(self.rpy), mp.matrix([0, 0, 0])
@@ -158,7 +160,7 @@ def _cross(x: mp.matrix, y: mp.matrix) -> list[tuple[mpf, mpf]]:
 
 
 def _snapped(x: mp.matrix, angle: float) -> mp.matrix:
-    """Return a vector in contact axes, along the normal or in the plane if it is within an angle of that."""
+    """Return a vector in contact axes, aligned with the normal or the plane if within an angle of it."""
     tangential = mp.hypot(x[0], x[1])
     size = mp.hypot(tangential, x[2])
     if abs(x[2]) < angle * size:
@@ -183,7 +185,7 @@ def _rotation(rpy: tuple[float, float, float]) -> mp.matrix:
 
 
 def _axes(normal: tuple[float, float, float]) -> mp.matrix:
-    """Return t₁, t₂, n as rows: the axes to which the smallest rotation that takes z to n carries x, y, z."""
+    """Return t₁, t₂, n as rows: x, y, z rotated by the smallest rotation from z to n."""
     x, y, z = (mpf(c) for c in normal)
     size = mp.sqrt(x * x + y * y + z * z)
     x, y, z = x / size, y / size, z / size

@@ -1,9 +1,9 @@
-"""Make the table of reference answers.
+"""Compute the table of reference solutions.
 
     python -m tests.reference.generate --seed 1 --count 3450 --out tests/reference/table.npz
 
-Run from the root of the repository. A row depends on the seed and its own number only. Rows that the closed
-form does not cover, or that no impulse can end, are left out and counted. Some 0.15 s per row.
+Run from the root of the repository; it takes about 0.15 s per row. A row depends on the seed and its index
+only. Rows that the closed form does not support, or without a solution, are omitted and counted.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ TRIALS = {
     "slow approach": 2,
     "ill-conditioned": 16,
 }
-"""How often the sensitivity of a regime is tried; for the others it is stored as zero."""
+"""Number of perturbations for the sensitivity of a regime; for other regimes zero is stored."""
 
 DIGITS = 22
-"""Digits to which the changed problems are solved; their answers differ in the sixteenth."""
+"""Digits of the solutions of perturbed problems, which differ in the sixteenth digit."""
 
 
 def sensitivity(problem: Problem, answer: ReferenceSolution, rng: np.random.Generator) -> tuple[float, float]:
-    """The largest change of v⁺ and of P when every input changes by 2⁻⁵² of itself (a few choices of signs).
+    """Return the largest changes of v⁺ and of P for relative perturbations of ±2⁻⁵² of all inputs.
 
-    A singular W keeps its rank: it is changed by a congruence with a diagonal matrix, and v with it.
+    A singular W keeps its rank: W and v are transformed by a diagonal matrix.
     """
     largest = [mpf(0), mpf(0)]
     for _ in range(TRIALS[problem.category]):
@@ -66,7 +66,7 @@ def sensitivity(problem: Problem, answer: ReferenceSolution, rng: np.random.Gene
 
 
 def main() -> None:
-    """Draw, solve, store."""
+    """Draw and solve the problems, and write the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

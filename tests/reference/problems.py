@@ -1,4 +1,4 @@
-"""Random contact-space problems, one recipe for each regime; every number is a double, meant exactly."""
+"""Random contact-space problems, with one recipe for each regime; all numbers are doubles taken as exact."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Draw = tuple[np.ndarray, np.ndarray, float]  # W, v, μ
 
 @dataclass(frozen=True)
 class Problem:
-    """One drawn problem: the arguments of `solve_reference`, and the regime that it was drawn for."""
+    """Arguments of `solve_reference`, and the regime of the problem."""
 
     delassus: np.ndarray
     velocity: np.ndarray
@@ -38,7 +38,7 @@ def _approach(rng: np.random.Generator, slip: float = 1.0) -> np.ndarray:
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """10 to a uniform power between `low` and `high`."""
+    """Draw a power of ten with a uniform exponent between `low` and `high`."""
     return 10 ** float(rng.uniform(low, high))
 
 
@@ -47,7 +47,7 @@ def _critical(W: np.ndarray) -> float:
 
 
 def _turned(rng: np.random.Generator, W: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The problem seen from tangent axes turned by a random angle."""
+    """Return the problem in tangent axes rotated by a random angle."""
     angle = rng.uniform(0, 2 * math.pi)
     R = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
     W = R @ W @ R.T
@@ -69,7 +69,7 @@ def _resumed(rng: np.random.Generator) -> Draw:
 
 
 def _locked(rng: np.random.Generator) -> Draw:
-    """Rank two with a regular A, and a velocity that W can produce: stick locks the normal direction."""
+    """Draw W of rank two with a regular A, and v in its range: sticking locks the normal direction."""
     while True:
         X = rng.integers(-4, 5, (3, 2)).astype(float)
         W = X @ X.T
@@ -88,7 +88,7 @@ def _rank_one(rng: np.random.Generator) -> Draw:
 
 
 def _planar(rng: np.random.Generator) -> Draw:
-    """A mechanism that moves in a plane only; some are struck by a surface that moves across it."""
+    """Draw a planar mechanism; some surfaces move across its plane."""
     W, v = _gram(rng, 3), _approach(rng, _log_uniform(rng, -2, 0.5))
     W[1, :] = W[:, 1] = 0
     if rng.random() < 0.7:
@@ -97,7 +97,7 @@ def _planar(rng: np.random.Generator) -> Draw:
 
 
 def _straight(rng: np.random.Generator) -> Draw:
-    """A spatial mechanism struck in a plane of symmetry."""
+    """Draw a spatial mechanism with an impact in a plane of symmetry."""
     W, v = _gram(rng, 3), _approach(rng, _log_uniform(rng, -2, 0.5))
     W[0, 1] = W[1, 0] = W[1, 2] = W[2, 1] = 0
     v[1] = 0
@@ -109,7 +109,7 @@ def _frictionless(rng: np.random.Generator) -> Draw:
 
 
 def _jamming(rng: np.random.Generator) -> Draw:
-    """Slip nearly along b, and enough friction to drive the surface in."""
+    """Draw slip nearly along b with so much friction that the normal acceleration is negative."""
     while True:
         W = _gram(rng, 3)
         b = W[:2, 2]
@@ -128,7 +128,7 @@ def _no_collision(rng: np.random.Generator) -> Draw:
 
 
 def _second_compression(rng: np.random.Generator) -> Draw:
-    """Slip that turns into jam after the first compression, up to the edge of the regime."""
+    """Draw slip whose normal acceleration becomes negative after the first compression, or almost."""
     W = np.array([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]])
     v = np.array([0.5, 12, -rng.uniform(0.4, 0.5292)])
     if rng.random() < 0.3:
@@ -152,7 +152,7 @@ def _near_critical(rng: np.random.Generator) -> Draw:
 
 
 def _exactly_critical(rng: np.random.Generator) -> Draw:
-    """‖A⁻¹b‖ = μ in exact arithmetic, by a Pythagorean triple."""
+    """Draw ‖A⁻¹b‖ = μ in exact arithmetic, by a Pythagorean triple."""
     i, j = rng.integers(-2, 3, 2)
     p, q, h = [(3, 4, 5), (5, 12, 13), (8, 15, 17)][rng.integers(3)]
     a, d = 2.0**i, 2.0**j
@@ -164,7 +164,7 @@ def _exactly_critical(rng: np.random.Generator) -> Draw:
 
 
 def _near_invariant(rng: np.random.Generator) -> Draw:
-    """Slip that starts a hair off an invariant direction, stable or not."""
+    """Draw slip that starts near an invariant direction, stable or not."""
     W, v = _gram(rng), _approach(rng)
     mu = _log_uniform(rng, -1.5, 0.3)
     alpha, beta = complex(W[0, 1], (W[0, 0] - W[1, 1]) / 2), complex(W[1, 2], W[0, 2])
@@ -210,7 +210,7 @@ def _scaled(rng: np.random.Generator) -> Draw:
 
 
 def _isotropic(rng: np.random.Generator) -> Draw:
-    """A sphere held off its centre: A a multiple of the identity."""
+    """Draw W with A a multiple of the identity; some have b = 0."""
     W, v = _gram(rng), _approach(rng)
     W[0, 1] = W[1, 0] = 0
     W[0, 0] = W[1, 1] = W[0, 0] + W[1, 1]
@@ -226,7 +226,7 @@ def _balanced(rng: np.random.Generator) -> Draw:
 
 
 def _coincident(rng: np.random.Generator) -> Draw:
-    """Slip that stops exactly when compression ends, or exactly at the end by Poisson's law with e = 1/2."""
+    """Draw slip that stops exactly at the end of compression, or of the impact (Poisson's law, e = 1/2)."""
     a, d, c = 2.0 ** rng.integers(-2, 4, 3)
     mu, v3 = rng.integers(1, 64) / 32, rng.integers(1, 64) / 32
     P3 = v3 / c * rng.choice([1, 1.5])
@@ -263,7 +263,7 @@ CATEGORIES = tuple(RECIPES)
 
 
 def draw(seed: int, index: int) -> Problem:
-    """The problem of a row: regimes and laws take turns, a sixth of the rows each has e = 0 and e = 1."""
+    """Return the problem of a row; regimes and laws alternate, and some rows have e = 0, 1/2 or 1."""
     rng = np.random.default_rng((seed, index))
     turn, position = divmod(index, len(CATEGORIES))
     category = CATEGORIES[position]

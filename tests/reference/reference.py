@@ -6,17 +6,16 @@ With v_t = r (cos φ, sin φ), σ = v_t / r and σ⊥ = (−sin φ, cos φ), sli
 
 so that d ln r/dφ = f/g. In z = exp(iφ) both z²f and z²g are polynomials of degree four, and partial fractions
 over the roots of z²g give ln r(φ) in logarithms and one arctangent. g is the derivative of the periodic
-function b·σ − μ σᵀAσ/2, so it has real roots; φ runs monotonically between two of them, φ_b (behind) and φ_a
-(ahead). In the coordinate u = ln((φ − φ_b)/(φ_a − φ)) the four integrals
+function b·σ − μ σᵀAσ/2, so it has real roots; φ is monotonic between two of them, φ_b (behind) and φ_a
+(ahead). In the coordinate u = ln((φ − φ_b)/(φ_a − φ)) the integrands of
 
     P₃ = ∫ r/g dφ,   ∫ cos φ dP₃,   ∫ sin φ dP₃,   ∫ r dP₃
 
-have integrands that are analytic around the real axis up to known points, and are done by Gauss-Legendre
-panels whose lengths follow from the distance to these points. Everything else is algebra: P_t,
-v₃ = v₃ᵒ + bᵀP_t + cP₃, the work of friction −μ∫r dP₃ and with it that of the normal force. Nothing here is
-shared with the package.
+are analytic around the real axis up to known points, and Gauss-Legendre panels have lengths that depend on
+the distance to these points. P_t, v₃ = v₃ᵒ + bᵀP_t + cP₃, the work of friction −μ∫r dP₃ and that of the
+normal force follow algebraically. This module is independent of the package.
 
-Inputs are doubles, taken as exact; a singular W must be exactly singular to be treated so.
+Inputs are doubles taken as exact; W is singular only if it is exactly singular.
 """
 
 from __future__ import annotations
@@ -32,23 +31,23 @@ import numpy as np
 from mpmath import mp, mpc, mpf
 
 LAWS = ("poisson", "energetic", "newton")
-_ELLIPSE = 2.2  # distance of the nearest singularity over the half-length of a panel, at least
-_GROWTH = 8.0  # change of the integrand's logarithm over half a panel, at most
+_ELLIPSE = 2.2  # smallest ratio of the distance of the nearest singularity to the half-length of a panel
+_GROWTH = 8.0  # largest change of the logarithm of the integrand over half a panel
 _NODES = (6, 8, 12, 16, 20, 24, 32, 40, 48, 56, 64, 80, 96)
 _ELLIPSES = (3, 5, 8, 14, 25, 60, 1e3, 1e6)
 
 
 class UnsupportedProblemError(ValueError):
-    """The closed form does not cover the problem (a multiple root of g)."""
+    """The closed form does not support the problem, as g has a multiple root."""
 
 
 @dataclass
 class ReferenceSolution:
-    """The answer in multiple precision; the names are those of the package's solution.
+    """Solution in multiple precision, with names as in the package.
 
-    ``events`` holds (name, P₃) with the names "end_compression", "vt=0", "stick", "slip_resumed" and
-    "second_compression"; ``status`` and ``flags`` are names of the package's members. ``defect`` is the
-    relative defect of v = v⁻ + W P between the closed form and the quadrature: the answer's own error.
+    `events` are (name, P₃) with names "end_compression", "vt=0", "stick", "slip_resumed" and
+    "second_compression"; `status` and `flags` are names of members of the package's enumerations. `defect` is
+    the relative residual of v = v⁻ + W P between closed form and quadrature, an estimate of the error.
     """
 
     velocity: tuple[mpf, mpf, mpf]
@@ -65,7 +64,7 @@ class ReferenceSolution:
 
 
 class State(NamedTuple):
-    """A point of the path: impulse, path integral of |v_t| over P₃, tangential velocity."""
+    """A point of the path: impulse, ∫ |v_t| dP₃, and tangential velocity."""
 
     P3: mpf
     P1: mpf
@@ -77,7 +76,7 @@ class State(NamedTuple):
 
 @functools.cache
 def _gauss_legendre(n: int, prec: int) -> list[tuple[mpf, mpf]]:
-    """Nodes and weights of the n-point rule on [−1, 1]."""
+    """Return nodes and weights of the n-point rule on [−1, 1]."""
     rule = []
     with mp.workprec(prec + 20):
         for guess in np.polynomial.legendre.leggauss(n)[0]:
@@ -87,7 +86,7 @@ def _gauss_legendre(n: int, prec: int) -> list[tuple[mpf, mpf]]:
                 for j in range(2, n + 1):
                     p0, p1 = p1, ((2 * j - 1) * x * p1 - (j - 1) * p0) / j
                 slope = n * (x * p1 - p0) / (x * x - 1)
-                if abs(step) < mpf(2) ** -(prec // 2 + 10):  # x is as good as the working precision
+                if abs(step) < mpf(2) ** -(prec // 2 + 10):  # x has the working precision
                     break
                 step = p1 / slope
                 x -= step
@@ -96,7 +95,7 @@ def _gauss_legendre(n: int, prec: int) -> list[tuple[mpf, mpf]]:
 
 
 class _Problem:
-    """The numbers of one problem, and what follows from them by algebra."""
+    """The numbers of a problem, and functions of them."""
 
     def __init__(self, W, v, mu, e, law: str, digits: int) -> None:
         self.a11, self.a12, self.a22 = mpf(W[0][0]), mpf(W[0][1]), mpf(W[1][1])
@@ -126,13 +125,13 @@ class _Problem:
         return s.P3 if name == "P3" else self.v3(s) if name == "v3" else self.normal_work(s)
 
     def singular(self) -> bool:
-        with mp.workprec(4000):  # exact for doubles of any ordinary range
+        with mp.workprec(4000):  # exact for doubles of usual magnitudes
             d = self.c * (self.a11 * self.a22 - self.a12**2)
             d += 2 * self.a12 * self.b1 * self.b2 - self.a11 * self.b2**2 - self.a22 * self.b1**2
             return d == 0
 
     def locks(self) -> bool:
-        """Whether c − bᵀA⁺b is zero, exactly."""
+        """Return whether c − bᵀA⁺b is exactly zero."""
         with mp.workprec(4000):
             if self.a11 * self.a22 != self.a12**2:
                 return self.singular()
@@ -140,7 +139,7 @@ class _Problem:
             return self.c * (self.a11 + self.a22) ** 2 == bAb
 
     def sticking_impulse(self):
-        """A⁺b, with an A of lower rank recognised exactly."""
+        """Return A⁺b, with the exact rank of A."""
         with mp.workprec(4000):
             det = self.a11 * self.a22 - self.a12**2
         if det != 0:
@@ -163,7 +162,7 @@ class _Problem:
 
 
 class _Directions:
-    """The roots of g: invariant directions φ with exponents f/g', and at most one pair off the circle."""
+    """Roots of g: invariant directions φ with exponents f/g', and at most one pair off the unit circle."""
 
     def __init__(self, p: _Problem) -> None:
         alpha = mpc(p.a12, (p.a11 - p.a22) / 2)
@@ -204,12 +203,12 @@ class _Directions:
             self.inner = z, F / (1j * z * dG)
 
     def diverging(self, p: _Problem) -> mpf:
-        """The direction in which slip resumes: the only root of g with f > 0."""
+        """Return the direction in which slip resumes, the only root of g with f > 0."""
         return max((p.f(mp.cos(phi), mp.sin(phi)), phi) for phi, _ in self.real)[1]
 
 
 def _quartic_roots(coefficients: Sequence[mpc]) -> list[mpc]:
-    """Simple roots to the working precision, by Weierstrass' simultaneous iteration from numpy's."""
+    """Return simple roots in the working precision, by Weierstrass' iteration from those of NumPy."""
     prec = mp.prec
     with mp.workprec(3 * prec):
         poly = [x / coefficients[0] for x in coefficients]
@@ -227,7 +226,7 @@ def _quartic_roots(coefficients: Sequence[mpc]) -> list[mpc]:
 
 
 class _Line:
-    """A straight stretch of the path: slip along an invariant direction, stick, or no friction."""
+    """A straight piece of the path: slip along an invariant direction, sticking, or no friction."""
 
     def __init__(self, p: _Problem, start: State, push, drift, slope, length) -> None:
         """`push` is dP_t/dP₃, `drift` dv_t/dP₃ and `slope` dv₃/dP₃."""
@@ -251,13 +250,13 @@ class _Line:
         return self.slope > 0
 
     def reach(self, name: str, target) -> State | None:
-        """The state in which a quantity first comes to its target, or None where it does not."""
+        """Return the first state in which a quantity reaches its target, or None."""
         lack = target - self.p.value(name, self.start)
         if name == "P3":
             x = lack
         elif name == "v3":
             if self.length < mp.inf and abs(self.slope * self.length - lack) <= self.p.zero_speed:
-                return None  # reached at the very end: left to what follows, which may be a locked contact
+                return None  # at the end, where the next piece may be a locked contact
             if abs(lack) <= self.p.zero_speed:
                 return self.start
             if self.slope == 0:
@@ -279,7 +278,7 @@ class _Line:
 
 
 class _Arc:
-    """Slip that turns: between two neighbouring invariant directions."""
+    """Turning slip between two neighbouring invariant directions."""
 
     def __init__(self, p: _Problem, phi0, r0, turning: int) -> None:
         self.p = p
@@ -300,7 +299,7 @@ class _Arc:
         self.singularities = self._singularities(two_pi)
 
     def _coordinate(self, phi):
-        x = self.turning * (self.end - phi)  # still to go
+        x = self.turning * (self.end - phi)  # remaining angle
         return (self.span - x) / x
 
     def _singularities(self, two_pi) -> list[complex]:
@@ -322,7 +321,7 @@ class _Arc:
         return min(abs(u - place) for place in self.singularities)
 
     def point(self, u):
-        """ln r, cos φ, sin φ and dφ/|g| per du, at u."""
+        """Return ln r, cos φ, sin φ and (dφ/du)/|g| at u."""
         t = mp.exp(u)
         q = self.span / (1 + t)
         xa, xb = q, t * q
@@ -348,12 +347,12 @@ class _Arc:
         return log_r, co, si, xa * xb / (self.span * g)
 
     def rate(self, u) -> float:
-        """|d ln r/du| at u."""
+        """Return |d ln r/du| at u."""
         _, co, si, weight = self.point(u)
         return abs(float(self.p.f(co, si) * weight))
 
     def step(self, u, limit):
-        """The end of the panel that starts at u, at most `limit`."""
+        """Return the end of the panel that starts at u, at most `limit`."""
         h = min(float(limit - u) / 2, 200.0) if limit is not None else 200.0
         a = float(u)
         while h * _ELLIPSE > self.room(a + h):
@@ -365,11 +364,11 @@ class _Arc:
         return limit if limit is not None and end > limit - mpf(h) / 1000 else end
 
     def advance(self, state: State, u, w) -> State:
-        """The state at w from the one at u."""
+        """Return the state at w from that at u."""
         h, middle = (w - u) / 2, (w + u) / 2
         if h == 0:
             return state
-        # |error| < ρ^(−2n) × the integrand on the ellipse of parameter ρ; r² dP₃ grows the fastest
+        # |error| < ρ^(−2n) × the integrand on the ellipse of parameter ρ, of which r² dP₃ grows fastest
         half = max(abs(float(h)), 1e-300)
         ratio = max(self.room(float(middle)) / half, 1.5)
         largest = min(ratio + math.sqrt(ratio * ratio - 1), 1e12)
@@ -401,7 +400,7 @@ class _Arc:
         )
 
     def turning_points(self) -> list[mpf]:
-        """Where dv₃/dP₃ = c − μ bᵀσ changes its sign, ahead of the start."""
+        """Return u at the sign changes of dv₃/dP₃ = c − μ bᵀσ after the start."""
         p = self.p
         size = p.mu * mp.hypot(p.b1, p.b2)
         if size <= p.c:
@@ -418,7 +417,7 @@ class _Arc:
 
 
 class _Panel:
-    """A piece of an arc over which v₃ is monotone."""
+    """A piece of an arc on which v₃ is monotonic."""
 
     def __init__(self, arc: _Arc, u, start: State, w, stop: State) -> None:
         self.arc, self.p = arc, arc.p
@@ -468,7 +467,7 @@ class _Panel:
 
 @dataclass
 class _Account:
-    """The phases, the law and the sums of one impact."""
+    """Phases, restitution law and sums of an impact."""
 
     p: _Problem
     compressing: bool = True
@@ -480,13 +479,13 @@ class _Account:
     status: str = ""
 
     def close(self, state: State) -> None:
-        """Book the phase that ends in `state`."""
+        """Add impulse and work of the phase that ends at `state`."""
         self.impulse[self.compressing] += state.P3 - self.mark.P3
         self.work[self.compressing] += self.p.normal_work(state) - self.p.normal_work(self.mark)
         self.mark = state
 
     def law_end(self):
-        """The quantity and the value at which the restitution now running ends."""
+        """Return the name of the quantity that ends the restitution, and its goal."""
         p = self.p
         if p.law == "poisson":
             return "P3", self.mark.P3 + p.e * self.impulse[True] - self.impulse[False]
@@ -501,7 +500,7 @@ class _Account:
         return state
 
     def run(self, piece) -> State | None:
-        """Follow the law through a piece; the last state where the impact ends in it."""
+        """Apply the restitution law on a piece; return the final state if the impact ends on it, or None."""
         p = self.p
         while True:
             if self.compressing:
@@ -528,7 +527,7 @@ class _Account:
 
 
 def _slip(p: _Problem, account: _Account, state: State) -> tuple[State, bool]:
-    """Slip from a state with v_t ≠ 0: the state at its end, and whether the impact ends there."""
+    """Integrate slip from a state with v_t ≠ 0; return its end, and whether the impact ends there."""
     phi, r = mp.atan2(state.v2, state.v1), mp.hypot(state.v1, state.v2)
     co, si = state.v1 / r, state.v2 / r
     a = (p.a22 - p.a11) * co * si + p.a12 * (co * co - si * si)
@@ -556,7 +555,7 @@ def _slip(p: _Problem, account: _Account, state: State) -> tuple[State, bool]:
 
 
 def _slip_straight(p, account, state, co, si, r) -> tuple[State, bool]:
-    """Slip along an invariant direction (cos, sin) with the speed r."""
+    """Integrate slip along an invariant direction (co, si) from the speed r; return as `_slip`."""
     f, k = p.f(co, si), p.v3_slope(co, si)
     size = p.mu * (p.a11 + p.a22) + mp.hypot(p.b1, p.b2)
     f = mpf(0) if abs(f) <= size * p.tiny else f
@@ -575,7 +574,7 @@ def _slip_straight(p, account, state, co, si, r) -> tuple[State, bool]:
 
 
 def _after_stop(p: _Problem, account: _Account, state: State) -> State:
-    """From v_t = 0 to the end of the impact."""
+    """Integrate from v_t = 0 to the end of the impact; return the final state."""
     push = p.sticking_impulse()
     if mp.hypot(*push) > p.mu * (1 + p.tiny):
         account.flags.add("SLIP_RESUMED")
@@ -605,22 +604,22 @@ def _after_stop(p: _Problem, account: _Account, state: State) -> State:
 
 
 def solve_reference(W, v, mu, e, law: str = "poisson", digits: int = 50) -> ReferenceSolution:
-    """Solve one contact-space problem to `digits` digits.
+    """Solve a contact-space problem in multiple precision.
 
     Args:
         W: (3, 3) symmetric, in (t₁, t₂, n); only the upper triangle is read.
-        v: (3,) pre-impact velocity.
-        mu: friction coefficient.
-        e: coefficient of restitution.
+        v: (3,) velocity before the impact.
+        mu: Friction coefficient.
+        e: Coefficient of restitution.
         law: "poisson", "energetic" or "newton".
-        digits: digits wanted; the work is done with some thirty more.
+        digits: Digits of the solution; the working precision has about thirty more.
 
     Raises:
-        UnsupportedProblemError: where two invariant directions coincide while slip turns.
+        UnsupportedProblemError: If two invariant directions coincide while slip turns.
     """
     slip, approach = math.hypot(float(v[0]), float(v[1])), abs(float(v[2]))
     lost = 2 * math.log10(slip / approach) - 6 if slip and approach else 0.0
-    extra = 40 * max(0, math.ceil(lost / 40))  # in coarse steps, so that quadrature rules are used again
+    extra = 40 * max(0, math.ceil(lost / 40))  # in coarse steps, so that quadrature rules are reused
     with mp.workdps(digits + 30 + extra):
         return _solve(_Problem(W, v, mu, e, law, digits))
 

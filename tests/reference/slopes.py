@@ -1,4 +1,4 @@
-"""Derivatives of the reference solution by differences in multiple precision."""
+"""Derivatives of reference solutions by difference quotients in multiple precision."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from .reference import solve_reference
 
 STEP = mpf(10) ** -20
 INPUTS = 11
-"""v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e, in this order."""
+"""Number of inputs: v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e."""
 
 
 def slopes(W, v, mu, e, law: str, columns=range(INPUTS), to: int = 0, power: int = 12) -> np.ndarray:
-    """Return ∂(v⁺, P) by the inputs, (6, 11), to some twenty digits; one-sided where μ or e is at a bound.
+    """Return ∂(v⁺, P) by the inputs (6, 11), to about twenty digits; one-sided if μ or e is at a bound.
 
-    Columns that are not wanted are zero. With `to` all are one-sided, for changes 10^-power of that sign.
+    Columns not in `columns` are zero. With `to`, 1 or −1, all are one-sided, by a step of 10^-power.
     """
     at = [mpf(float(x)) for x in (*v, *np.asarray(W)[np.triu_indices(3)], mu, e)]
 

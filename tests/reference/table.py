@@ -1,4 +1,4 @@
-"""The stored table of reference answers: inputs as doubles, outputs as sums of three doubles (48 digits)."""
+"""Table of reference solutions: inputs as doubles, outputs as sums of three doubles (48 digits)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLAGS = (
 
 
 def outputs(solution: ReferenceSolution) -> list[mpf]:
-    """The ten stored numbers: v⁺, P, compression and restitution impulse, and their works."""
+    """Return the ten stored numbers: v⁺, P, impulses of compression and restitution, and their work."""
     return [
         *solution.velocity,
         *solution.impulse,
@@ -39,7 +39,7 @@ def outputs(solution: ReferenceSolution) -> list[mpf]:
 
 
 def split(x: mpf) -> tuple[float, float, float]:
-    """Three doubles whose sum is x to 48 digits (fewer only where they underflow)."""
+    """Return three doubles whose sum is x to 48 digits, unless they underflow."""
     parts = []
     with mp.workdps(120):
         for _ in range(3):
@@ -50,19 +50,19 @@ def split(x: mpf) -> tuple[float, float, float]:
 
 @dataclass
 class Table:
-    """The columns of the table; N rows.
+    """Columns of a table of N rows.
 
     Attributes:
-        delassus: (N, 3, 3).
-        velocity: (N, 3).
-        friction: (N,).
-        restitution: (N,).
+        delassus: (N, 3, 3) W.
+        velocity: (N, 3) v⁻.
+        friction: (N,) μ.
+        restitution: (N,) e.
         law: (N,) index into `LAWS`.
         category: (N,) index into `CATEGORIES`.
         status: (N,) index into `STATUSES`.
         flags: (N,) bits in the order of `FLAGS`.
         answer: (N, 10, 3) the numbers of `outputs`, each the sum of three doubles.
-        sensitivity: (N, 2) change of v⁺ and of P (Euclidean) when every input is changed by one rounding.
+        sensitivity: (N, 2) norms of the changes of v⁺ and P due to a rounding error of all inputs.
     """
 
     delassus: np.ndarray
@@ -80,7 +80,7 @@ class Table:
         return len(self.friction)
 
     def problem(self, row: int) -> Problem:
-        """The problem of a row."""
+        """Return the problem of a row."""
         return Problem(
             self.delassus[row],
             self.velocity[row],
@@ -91,18 +91,18 @@ class Table:
         )
 
     def exact(self, row: int) -> list[mpf]:
-        """The ten outputs of a row in the working precision."""
+        """Return the ten outputs of a row in the working precision."""
         return [sum((mpf(float(x)) for x in parts), mpf(0)) for parts in self.answer[row]]
 
     def rows(self, law: str) -> np.ndarray:
-        """The rows of a law."""
+        """Return the indices of the rows of a law."""
         return np.flatnonzero(self.law == LAWS.index(law))
 
 
 def columns(
     rows: list[tuple[Problem, ReferenceSolution, tuple[float, float]]],
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """The columns of a table from its rows."""
+    """Yield the columns of a table, by name, from its rows."""
     problems = [p for p, _, _ in rows]
     solutions = [s for _, s, _ in rows]
     yield "delassus", np.array([p.delassus for p in problems])
