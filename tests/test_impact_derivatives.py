@@ -520,3 +520,51 @@ def test_vertical_fall_is_a_start_at_rest(held):
         ends = [pinimpact.impact(model, data, q, v + h * e, foot, **options).v for e in np.eye(18)]
         expected = (np.array(ends) - one.v).T / h
         assert np.abs(one.dv_dv - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def swinging(*joints):
+    """Return an arm of boxes of 1 m along x, on the given joints, with the frame "tip" at its end."""
+    model, parent = pin.Model(), 0
+    for k, joint in enumerate(joints):
+        place = pin.SE3(np.eye(3), np.array([float(k > 0), 0.0, 0.0]))
+        parent = model.addJoint(parent, joint, place, f"joint {k}")
+        middle = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
+        model.appendBodyToJoint(parent, pin.Inertia.FromBox(1.0, 1.0, 0.1, 0.1), middle)
+    end = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", parent, 0, end, pin.FrameType.OP_FRAME))
+    return model
+
+
+STRAIGHT = {
+    "one joint": (swinging(pin.JointModelRZ()), [0.0], [2.0], (0, -1, 0), [0]),
+    "stretched": (swinging(pin.JointModelRZ(), pin.JointModelRZ()), [0, 0], [2.0, 1.0], (0, -1, 0), [0, 1]),
+    "ball joint": (swinging(pin.JointModelSpherical()), [0, 0, 0, 1], [0.3, 2.0, 0.0], (0, 0, 1), [1]),
+    "slip stops": (swinging(pin.JointModelSpherical()), [0, 0, 0, 1], [0.0, 2.0, 0.5], (0, 0, 1), [1]),
+}
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("kind", STRAIGHT)
+def test_friction_where_no_impulse_moves_the_tip_changes_its_sign_with_q(kind, many):
+    """It has no effect if the tip strikes straight, but as soon as a change of q makes it slip or tend to."""
+    model, q, v, normal, kinks = STRAIGHT[kind]
+    data, (q, v), nv = model.createData(), (np.array(x, dtype=float) for x in (q, v)), model.nv
+    tip = Contact("tip", Plane(normal=normal), 0.3, 0.5, law="energetic")
+    contact = [tip] if many else tip
+    d = pinimpact.impact_derivatives(model, data, q, v, contact)
+    before = pinimpact.impact(model, data, q, v, contact).v
+    assert d.boundary & (Boundary.START_AT_REST | Boundary.JUMP)
+    for k, unit in enumerate(1e-6 * np.eye(nv)):
+        to_right, to_left = (
+            (pinimpact.impact(model, data, pin.integrate(model, q, s * unit), v, contact).v - before)
+            / (s * 1e-6)
+            for s in (1.0, -1.0)
+        )
+        if k in kinks:
+            assert np.abs(to_right - to_left).max() > 0.1
+            assert np.isnan(d.dv_dq[:, k]).all()
+        elif not many or np.isfinite(d.dv_dq[:, k]).all():  # differences do not see that W and v° turn alike
+            assert d.dv_dq[:, k] == pytest.approx(to_right, abs=1e-5)
+            assert d.dv_dq[:, k] == pytest.approx(to_left, abs=1e-5)
+    moved = slope(lambda x: pinimpact.impact(model, data, q, v + x, contact).v, nv, 1e-5)
+    assert d.dv_dv == pytest.approx(moved, abs=1e-7)

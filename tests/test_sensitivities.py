@@ -1097,3 +1097,17 @@ def test_derivative_includes_change_of_force_distribution():
         found.state @ [0.0, 1.0, difference_quotient, 0.0, 0.0, 0.0], expected, atol=1e-7
     )
     assert abs(expected[3]) > 1e-3
+
+
+@pytest.mark.parametrize("across", [0.0, 0.3])
+def test_pendulum_on_ball_joint_strikes_where_friction_moves_nothing(across):
+    """Along its rod no impulse moves the tip; impacts of a motion are always at the same height of it."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "joint")
+    middle, end = (pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])) for x in (0.5, 1.0))
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 1.0, 0.1, 0.1), middle)
+    model.addFrame(pin.Frame("tip", joint, 0, end, pin.FrameType.OP_FRAME))
+    scene = Scene(model, [Contact("tip", Plane(), 0.3, 0.5, name="tip")])
+    q = np.array(pin.Quaternion(pin.exp3(np.array([0.0, -0.5, 0.0]))).coeffs())
+    run = check_sensitivity(scene, q, np.array([0.0, 2.0, across]), 0.25, 1)
+    assert len(run.impacts) == 1

@@ -155,7 +155,7 @@ def slopes_along(
     along = _Differences(inputs, partial(find_policy(policy).run, **options), impulse)
     found = [along.slope(change) for change in changes]
     columns = np.array([one.impulse for one in found]).reshape(len(changes), impulse.size).T.copy()
-    known = np.array([one.error <= AGREED for one in found], dtype=bool)
+    known = np.array([along.known(*one) for one in zip(changes, found, strict=True)], dtype=bool)
     boundary = Boundary.RANK if inputs.singular else Boundary.NONE
     if (inputs.friction == 0.0).any() or ((inputs.restitution == 0.0) | (inputs.restitution == 1.0)).any():
         boundary |= Boundary.BOUND
@@ -171,7 +171,7 @@ def slopes_along(
         columns[:, k] = np.nan
         if side is not None:
             found[k] = along.slope(changes[k], float(side))
-            columns[:, k] = found[k].impulse if found[k].error <= AGREED else np.nan
+            columns[:, k] = found[k].impulse if along.known(changes[k], found[k]) else np.nan
     return Slopes(columns, np.array([one.unshared <= AGREED for one in found], dtype=bool), boundary)
 
 
@@ -223,6 +223,14 @@ class _Differences:
             float(np.abs(change.restitution).max(initial=0.0)),
             float((np.abs(change.stiffness) / inputs.stiffness).max(initial=0.0)),
         )
+
+    def known(self, change: Change, slope: _Slope) -> bool:
+        """Return whether the velocities have the derivative `slope` along a change.
+
+        Impulses that move nothing, but jump, do move something where W changes.
+        """
+        jumps = slope.jumps and slope.unshared > AGREED and bool(change.delassus.any())
+        return slope.error <= AGREED and not jumps
 
     def _room(self, change: Change, sign: float) -> float:
         """Return the largest multiple of a change with which coefficients stay in their ranges."""

@@ -16,6 +16,7 @@ from ..contact_space.one_sided import check_side
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import InputError, ModelError
+from ..status import Flag
 from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
@@ -57,6 +58,24 @@ def _views(columns: Callable[[int], slice | int]) -> tuple[_View, _View]:
     return _View(False, columns), _View(True, columns)
 
 
+KINKED = 1e-10
+"""Entries of `Found.kinks` up to which they are rounding errors."""
+
+
+class Found(NamedTuple):
+    """Derivatives of an impact that hold along some changes of q only.
+
+    Attributes:
+        block: (nv + 3, 2 nv + 9) as of `ImpactDerivatives`.
+        boundary: Flags of `Boundary`.
+        kinks: (4, nv) rows that vanish for the δq along which the derivatives hold, see `fill_kinks`.
+    """
+
+    block: Array
+    boundary: Boundary
+    kinks: Array
+
+
 class ImpactDerivatives:
     """Derivatives of q̇⁺ and of the impulse P of an impact; those by q are in the tangent space of q.
 
@@ -78,6 +97,14 @@ class ImpactDerivatives:
 
     def __init__(self, block: Array, boundary: Boundary) -> None:
         self.block, self.boundary = block, boundary
+
+    @classmethod
+    def of(cls, found: Found) -> ImpactDerivatives:
+        """Return derivatives with NaN in the columns of q along which friction changes its sign."""
+        block, boundary, kinks = found
+        at_kink = np.flatnonzero((np.abs(kinks) > KINKED).any(axis=0))
+        block[:, at_kink] = np.nan
+        return cls(block, boundary | (Boundary.START_AT_REST if len(at_kink) else Boundary.NONE))
 
     dv_dq, dP_dq = _views(lambda nv: slice(nv))
     dv_dv, dP_dv = _views(lambda nv: slice(nv, 2 * nv))
@@ -190,16 +217,16 @@ def impact_derivatives(
 
             return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
     rest = held_at_rest(model, data, q, v, contact, held), locked, True
-    block, boundary = _differentiated(model, data, q, v, contact, *rest)
-    if side is not None and np.isnan(block).any():
+    found = ImpactDerivatives.of(_differentiated(model, data, q, v, contact, *rest))
+    if side is not None and np.isnan(found.block).any():
         own, cache = model_of(model), data_cache(model_of(model), data)
         at = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
 
         def evaluate(q: Array, v: Array, contact: Contact) -> Array:
-            return _differentiated(model, data, q, v, contact, *rest)[0]
+            return ImpactDerivatives.of(_differentiated(model, data, q, v, contact, *rest)).block
 
-        fill_one_sided_of_robot(block, side, own, *at, contact, evaluate)
-    return ImpactDerivatives(block, Boundary(boundary))
+        fill_one_sided_of_robot(found.block, side, own, *at, contact, evaluate)
+    return found
 
 
 def impact_rows(
@@ -233,7 +260,7 @@ def impact_rows(
     """
     dt = above_zero("dt", dt)
     rest = held_at_rest(model, data, q, v, contact, held), locked, False
-    block, _ = _differentiated(model, data, q, v, contact, *rest)
+    block = _differentiated(model, data, q, v, contact, *rest).block
     nv = len(block) - 3
     return dt * block[:, nv : 2 * nv], block[:, -1].copy()
 
@@ -247,8 +274,8 @@ def _differentiated(
     held: tuple[Contact, ...],
     locked: Sequence[str | int],
     by_q: bool,
-) -> tuple[Array, int]:
-    """Return q̇⁺ and P and their derivatives, as `assemble` lays them out, and flags of `Boundary`."""
+) -> Found:
+    """Return q̇⁺ and P and their derivatives, as `assemble` lays them out."""
     if not isinstance(contact, Contact) or contact.geometry is not None:
         return _of_shape(model, data, q, v, contact, held, locked, by_q)
     model = model_of(model)
@@ -258,18 +285,16 @@ def _differentiated(
     if not (held or locked):
         work = strike(cache, model, data, contact)[1]
         if work is not None:
-            block = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE))
+            block, kinks = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE)), np.zeros((4, cache.nv))
             q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
-            status, boundary = kernel.robot_slopes(work, q_now, v_now, *e, by_q, block)
+            status, boundary = kernel.robot_slopes(work, q_now, v_now, *e, by_q, block, kinks)
             if 0 <= status <= LOCKED:
-                return block, boundary
+                return Found(block, Boundary(boundary), kinks)
             impact(model, data, q, v, contact)  # raises the error
     return _by_matrices(model, data, q, v, contact, e, held, locked, by_q)
 
 
-def _of_shape(
-    robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *rest: Any
-) -> tuple[Array, int]:
+def _of_shape(robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *rest: Any) -> Found:
     """Return the result of `_differentiated` for a collision shape, at its single contact point."""
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
@@ -283,8 +308,7 @@ def _of_shape(
             "contact at one point",
             value=contact,
         )
-    found = derivatives_at_point(robot, data, q, v, points[0], *rest)
-    return found.block, found.boundary
+    return derivatives_at_point(robot, data, q, v, points[0], *rest)
 
 
 def derivatives_at_point(
@@ -296,26 +320,26 @@ def derivatives_at_point(
     held: tuple[Contact, ...],
     locked: Sequence[str | int],
     by_q: bool = True,
-) -> ImpactDerivatives:
+) -> Found:
     """Return `impact_derivatives` for `instant`, `lasting` and `swapped` of a `PointContact`.
 
     The motion of the contact point with q follows from `lasting`.
     """
     (instant, lasting, swapped), rest = point, (held, locked)
-    block, boundary = _differentiated(model, data, q, v, instant, *rest, by_q and lasting is instant)
+    block, boundary, kinks = _differentiated(model, data, q, v, instant, *rest, by_q and lasting is instant)
     of_q = block[:, : len(block) - 3]
     if by_q and lasting is None:
         of_q[:] = np.nan
         boundary |= Boundary.FEATURES_MEET
     elif by_q and swapped and lasting is not None:  # this shape is the surface of `lasting`
         e = _restitution(model, data, q, v, lasting)
-        of_q[:] = _by_matrices(model_of(model), data, q, v, lasting, e, *rest, True, on_surface=True)[0][
-            :, : len(of_q[0])
-        ]
+        of_lasting = _by_matrices(model_of(model), data, q, v, lasting, e, *rest, True, on_surface=True)
+        of_q[:], kinks = of_lasting.block[:, : len(of_q[0])], of_lasting.kinks
         of_q[-3:] *= -1.0  # that impulse is on the other shape
     elif by_q and lasting is not None and lasting is not instant:
-        of_q[:] = _differentiated(model, data, q, v, lasting, *rest, True)[0][:, : len(block) - 3]
-    return ImpactDerivatives(block, Boundary(boundary))
+        of_lasting = _differentiated(model, data, q, v, lasting, *rest, True)
+        of_q[:], kinks = of_lasting.block[:, : len(of_q[0])], of_lasting.kinks
+    return Found(block, boundary, kinks)
 
 
 class Tree(NamedTuple):
@@ -384,7 +408,7 @@ def _by_matrices(
     locked: Sequence[str | int],
     by_q: bool,
     on_surface: bool = False,
-) -> tuple[Array, int]:
+) -> Found:
     """Return the result of `_differentiated` by `contact_matrices`, where the kernel does not apply.
 
     With `on_surface` the contact point is that of the surface below the tip.
@@ -420,10 +444,13 @@ def _by_matrices(
         if held:
             sliding = _add_held(placed, tree, held, matrices, y, impulse, of_data, forces)
         forces = responses(placed, matrices.held, free_velocities(model, locked), forces, sliding)
-    block = np.empty((nv + 3, 2 * nv + kernel.MORE))
+    block, kinks = np.empty((nv + 3, 2 * nv + kernel.MORE)), np.zeros((4, nv))
     rest = y, v, impulse, slopes, slope, by_q, of_data, forces, turned, block
     kernel.assemble(at, carrier, np.ascontiguousarray(matrices.jacobian), *rest)
-    return block, d.boundary
+    if by_q:
+        stops, still = bool(solution.flags & (Flag.STICK | Flag.SLIP_RESUMED)), kernel.AT_REST * scale
+        kernel.fill_kinks(matrices.delassus, velocity, still, contact.friction, stops, of_data, kinks)
+    return Found(block, d.boundary, kinks)
 
 
 def _add_held(

@@ -21,8 +21,9 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
+from ..robot._kernels.impact_slopes import FRICTION
 from ..robot.corner_motion import Corner, closest_corners
-from ..robot.derivatives import derivatives_at_point, slope_of_restitution
+from ..robot.derivatives import KINKED, derivatives_at_point, slope_of_restitution
 from ..robot.many_derivatives import ManySlopes
 from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.names import free_velocities
@@ -153,14 +154,15 @@ class ImpactJumps:
         point, rest = (contact, lasting, swapped), (self.held, self.locked)
         d = derivatives_at_point(self.model, self.data, record.q, record.v_before, point, *rest)
         matrices = contact_matrices(self.model, self.data, record.q, contact)
-        by_state, guard = np.hstack([d.dv_dq, d.dv_dv]), matrices.jacobian[2]
-        by_restitution = np.zeros(nv) if rests else d.dv_drestitution
+        by_state, guard = d.block[:nv, : 2 * nv].copy(), matrices.jacobian[2]
+        (by_friction, by_restitution), after = d.block[:nv, 2 * nv + FRICTION :][:, :2].T, d.block[:nv, -1]
+        by_restitution = np.zeros(nv) if rests else by_restitution
         flags = d.boundary | (Boundary.LAST_BOUNCE if rests else Boundary.NONE)
         if contact.friction > 0.0 and self._begins_to_slip(record, matrices):
             flags |= Boundary.START_AT_REST
             by_state[:] = np.nan
-        by = {"friction": d.dv_dfriction, "restitution": by_restitution}
-        return SingleJump(record, number, by_state, by, guard, flags, d.v)
+        by = {"friction": by_friction, "restitution": by_restitution}
+        return SingleJump(record, number, by_state, by, guard, flags, after, d.kinks)
 
     def _begins_to_slip(self, record: ImpactRecord, matrices: ContactMatrices) -> bool:
         """Whether a contact slips throughout an impact, but its slip before is within the error of a step."""
@@ -185,7 +187,8 @@ class ImpactJumps:
         of_v = np.eye(nv) - (1.0 + e) / w * np.outer(y, guard)
         after, number = record.v_before + impulse * y, len(self.dynamics.contacts) + k
         guard *= self.dynamics.work.joint_metres
-        return SingleJump(record, number, np.hstack([of_q, of_v]), {}, guard, Boundary.NONE, after)
+        by_state = np.hstack([of_q, of_v])
+        return SingleJump(record, number, by_state, {}, guard, Boundary.NONE, after, np.zeros((0, nv)))
 
 
 class SingleJump(NamedTuple):
@@ -199,6 +202,7 @@ class SingleJump(NamedTuple):
         approach: (nv,) ∂(gap)/∂q [m per unit].
         boundary: Flags of `Boundary`.
         v: (nv,) the velocity after the impact.
+        kinks: (…, nv) rows that vanish for the δq along which the derivatives hold.
     """
 
     record: ImpactRecord
@@ -208,6 +212,7 @@ class SingleJump(NamedTuple):
     approach: Array
     boundary: Boundary
     v: Array
+    kinks: Array
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -221,13 +226,20 @@ class SingleJump(NamedTuple):
     def after(self, x: Array, parameters: Sequence[Parameter]) -> Passed | None:
         """Return changes x (2nv, m) after the impact; see `GroupJump.after`."""
         after, on = self.by_state @ x, [one for one in parameters if one.contact == self.number]
+        by_q, flags = x[: self.kinks.shape[1]], self.boundary
+        at_kink = np.abs(self.kinks @ by_q) > KINKED * (
+            np.abs(self.kinks) @ np.abs(by_q) + np.abs(x).max(axis=0)
+        )
+        if at_kink.any():
+            flags |= Boundary.START_AT_REST
+            after[:, at_kink.any(axis=0)] = np.nan
         change = np.abs(self.record.v_after - self.record.v_before).max()
         if not np.abs(self.v - self.record.v_after).max() <= MISSED * change:
             return None
         for column, parameter in enumerate(parameters, x.shape[1] - len(parameters)):
             if parameter in on:
                 after[:, column] += self.by[parameter.kind]
-        return Passed(after, tuple(on), self.boundary)
+        return Passed(after, tuple(on), flags)
 
 
 class GroupJump:

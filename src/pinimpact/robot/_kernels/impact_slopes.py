@@ -8,8 +8,9 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import filled
 from ..._numeric.tolerances import EPS
-from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED
+from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, SLIP_RESUMED, STICKS
 from ...contact_space._kernels.derivatives import SLOPES, differentiate_into
 from ...contact_space._kernels.path import MAX_MOVES, SCRATCH
 from ...contact_space._kernels.recording import MOVE
@@ -107,6 +108,66 @@ def by(slope, change):
     return slope * change if change != 0.0 else 0.0
 
 
+@inlined
+def largest_of_rows(rows):
+    """Return the largest magnitude in an array of two dimensions."""
+    largest = 0.0
+    for a in range(rows.shape[0]):
+        for b in range(rows.shape[1]):
+            largest = max(largest, abs(rows[a, b]))
+    return largest
+
+
+@declared(FLOAT_ROWS, FLOATS, float, float, bool, FLOAT_ROWS, FLOAT_ROWS)
+@jit
+def fill_kinks(delassus, velocity, still, friction, stops, data, kinks):
+    """Fill the changes of q that move a contact where no impulse does, if its slip ends in the impact.
+
+    Friction along such a tangential direction n takes the sign of the slightest slip, or tendency to slip. It
+    moves nothing at q, but does at changed configurations: derivatives hold for δq with `kinks` δq = 0.
+    n is in the null space of the tangential part of W, and turns with it.
+
+    Args:
+        delassus: (3, 3) Delassus matrix.
+        velocity: (2,) slip before the impact [m/s].
+        still: Slip up to which there is none [m/s].
+        friction: Coefficient of friction.
+        stops: Whether slip ends during the impact.
+        data: (9, nv) as for `impact_slopes`.
+        kinks: (4, nv) is overwritten with the changes of slip and of W₁₃ and W₂₃ along such directions,
+            relative to the largest ones of their kind; zero if there are none.
+    """
+    filled(kinks, 0.0)
+    v1, v2 = velocity[0], velocity[1]
+    if friction == 0.0 or not (stops or math.hypot(v1, v2) <= still):
+        return
+    a11, a12, a22 = delassus[0, 0], delassus[0, 1], delassus[1, 1]
+    zero = AT_REST * (a11 + a22 + delassus[2, 2])
+    mean, half = 0.5 * (a11 + a22), math.hypot(0.5 * (a11 - a22), a12)
+    if mean - half > zero:
+        return
+    n1, n2, larger = 1.0, 0.0, mean + half  # the direction n, and the eigenvalue of that across it
+    if larger > zero:
+        turn = 0.5 * math.atan2(a12, 0.5 * (a11 - a22))
+        n1, n2 = -math.sin(turn), math.cos(turn)
+        if abs(n1 * v1 + n2 * v2) > still:
+            return
+    elif math.hypot(v1, v2) > still:
+        return
+    speed, size = largest_of_rows(data[:3]), largest_of_rows(data[3:])
+    across_v, across_b = n2 * v1 - n1 * v2, n2 * delassus[0, 2] - n1 * delassus[1, 2]
+    for k in range(kinks.shape[1]):
+        slip, pull = n1 * data[0, k] + n2 * data[1, k], n1 * data[5, k] + n2 * data[7, k]
+        if larger > zero:  # n turns with q
+            turned = n2 * (data[3, k] * n1 + data[4, k] * n2) - n1 * (data[4, k] * n1 + data[6, k] * n2)
+            slip, pull = slip - across_v * turned / larger, pull - across_b * turned / larger
+        else:
+            kinks[1, k] = data[1, k] / speed if speed > 0.0 else 0.0
+            kinks[3, k] = data[7, k] / size if size > 0.0 else 0.0
+        kinks[0, k] = slip / speed if speed > 0.0 else 0.0
+        kinks[2, k] = pull / size if size > 0.0 else 0.0
+
+
 @declared(
     *(FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOAT_ROWS, float, bool, FLOAT_ROWS),
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
@@ -180,12 +241,13 @@ def _dynamic_parameters(bodies, out):
         out[i, 9] = bodies[i, 21] + m * (c1 * c1 + c2 * c2)
 
 
-@declared(RobotWorkspace, FLOATS, FLOATS, float, float, bool, FLOAT_ROWS)
+@declared(RobotWorkspace, FLOATS, FLOATS, float, float, bool, FLOAT_ROWS, FLOAT_ROWS)
 @jit
-def robot_slopes(work, q, v, e, slope, by_q, out):
+def robot_slopes(work, q, v, e, slope, by_q, out, kinks):
     """Differentiate the impact of one contact; return the status of `robot_impact`, and flags of `Boundary`.
 
-    v (nv,) is the pre-impact velocity, e the coefficient of restitution; other arguments as for `assemble`.
+    v (nv,) is the pre-impact velocity, e the coefficient of restitution, kinks (4, nv) that of `fill_kinks`;
+    other arguments as for `assemble`.
     """
     bodies, columns, mass, frame, carrier, room = parts(work, work.scratch)
     if not evaluate(work, q, bodies, columns, mass, frame, carrier):
@@ -234,4 +296,8 @@ def robot_slopes(work, q, v, e, slope, by_q, out):
         )
         solve_mass(lower, before, responses)
     assemble(at, carrier, jacobian, y, v, impulse, slopes[3:], slope, by_q, data, responses, turned, out)
+    if by_q:
+        delassus = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
+        stops = codes[0, 1] & (STICKS | SLIP_RESUMED) > 0
+        fill_kinks(delassus, np.array([v1, v2]), AT_REST * scale, work.friction, stops, data, kinks)
     return status, boundary[0]
