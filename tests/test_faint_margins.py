@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,7 +15,7 @@ from pinimpact.scene.options import Options
 
 from . import random_control, random_scenes
 from .lawful import law_violation, unexplained_velocity_loss
-from .scene_models import G, free_body, run, unbounded
+from .scene_models import G, free_body, run, slider, unbounded
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
 """Some impacts reach a bound of the solver, which does not affect these checks."""
@@ -334,3 +336,83 @@ def test_stretched_leg_with_velocity_error_in_an_impact():
     expected = v - response @ np.linalg.solve(rows @ response, rows @ v)
     assert np.abs(expected - v).max() > 4e-6
     assert after == pytest.approx(expected, abs=1e-8)
+
+
+def points(masses, kinds):
+    """Return point masses, each on sliding joints of the given kinds, with the frames ``point0`` …"""
+    model = pin.Model()
+    for k, mass in enumerate(masses):
+        joint = 0
+        for kind in kinds:
+            joint = model.addJoint(joint, kind(), pin.SE3.Identity(), f"{k}{kind.__name__[-1]}")
+        inertia = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"point{k}", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    return model
+
+
+@pytest.mark.parametrize("mass", [10.0, 1e5, 1e8, 1e10])
+def test_body_leaves_platform_of_any_mass_where_it_is_no_longer_pressed(mass):
+    """A platform at z = A sin ωt carries 1 kg, which leaves it where Aω² sin ωt = g, and then flies."""
+    amplitude, pace = 0.02, 30.0
+    model = points([mass, 1.0], [pin.JointModelPZ])
+    contact = Contact("point1", Plane(body="point0"), name="load")
+
+    def drive(t, q, v):
+        pressed = q[1] - q[0] <= 1e-9
+        acceleration = -amplitude * pace**2 * math.sin(pace * t)
+        return np.array([mass * (G + acceleration) + pressed * max(G + acceleration, 0.0), 0.0])
+
+    leaves = math.asin(G / (amplitude * pace**2)) / pace
+    speed, later = amplitude * pace, leaves + 0.05
+    trajectory = simulate(Scene(model, [contact], control=drive), [0.0, 0.0], [speed, speed], later)
+    (interval,) = trajectory.modes
+    assert interval.end == pytest.approx(leaves, abs=1e-7)
+    height = amplitude * math.sin(pace * leaves) + speed * math.cos(pace * leaves) * 0.05 - 0.5 * G * 0.05**2
+    assert trajectory.q[-1, 1] == pytest.approx(height, abs=1e-8)
+
+
+@pytest.mark.parametrize("force", [1.0, 1e-3, 1e-6, 1e-9])
+def test_without_gravity_a_body_leaves_a_wall_at_any_force(force):
+    """The force F (0.2, −cos t) on 1 kg: it slips from cos t = 0.4 on, and leaves the wall at t = π/2."""
+    model = slider()
+    model.gravity.linear = np.zeros(3)
+    scene = Scene(
+        model,
+        [Contact("point", Plane(), friction=0.5)],
+        control=lambda t, q, v: force * np.array([0.2, 0.0, -math.cos(t)]),
+    )
+    trajectory = simulate(scene, np.zeros(3), np.zeros(3), 2.5, rtol=1e-11, atol=1e-11 * force)
+    stick, slip = trajectory.modes
+    # a part of 10⁻⁴ m/s² · 10⁻⁹ is taken as zero
+    assert (stick.mode, slip.mode) == ("stick", "slip")
+    assert stick.end == pytest.approx(math.acos(0.4), abs=1e-9 + 3e-13 / force)
+    assert slip.end == pytest.approx(0.5 * math.pi, abs=1e-9 + 3e-13 / force)
+    rise = math.cos(2.5) + 2.5 - 0.5 * math.pi
+    assert trajectory.q[-1, 2] == pytest.approx(force * rise, rel=1e-6)
+
+
+@pytest.mark.parametrize("mass", [1e6, 1e9])
+@pytest.mark.parametrize("swing", [1.02, 1.0002])
+def test_short_flights_do_not_depend_on_a_heavy_body_elsewhere(swing, mass):
+    """1 kg on the floor is pushed up by swing · m g sin ωt; 1 kg and a heavy body beside it do not matter."""
+
+    def motion(masses):
+        model = points(masses, [pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ])
+        contacts = [Contact(f"point{k}", Plane(), friction=0.3) for k in range(len(masses))]
+        push = np.zeros(model.nv)
+
+        def control(t, q, v):
+            push[[0, 2]] = 2.5, swing * G * math.sin(50.0 * t)
+            return push
+
+        trajectory = simulate(Scene(model, contacts, control=control), 0.0 * push, 0.0 * push, 0.5)
+        changes = [(i.start, i.end) for i in trajectory.modes if i.source == "point0 on plane"]
+        return trajectory.q[-1, 0], np.array(changes)
+
+    alone, changes = motion([1.0])
+    beside, others = motion([1.0, mass])
+    assert len(changes) > 10
+    assert others == pytest.approx(changes, abs=1e-6)
+    assert beside == pytest.approx(alone, abs=1e-9)

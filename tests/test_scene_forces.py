@@ -205,7 +205,7 @@ def test_modes_agree_with_enumeration():
         scene = Scene(model, contacts, control=lambda *_, push=push: push)
         dynamics = SceneDynamics(scene, model, contacts, [], [])
         work = dynamics.work
-        work.stick_speed, work.direction_speed, work.force_tolerance = 1e-5, 1e-9, 1e-9
+        work.stick_speed, work.direction_speed = 1e-5, 1e-9
         dynamics.set_modes(0.0, np.zeros(3), np.zeros(3), np.ones(2, dtype=np.int64))
         dynamics.begin(0.0, np.zeros(3), np.zeros(3))
         assert work.stage_rates[0, 3:6] == pytest.approx(expected, abs=1e-7 * (1 + np.abs(expected).max()))

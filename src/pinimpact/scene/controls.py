@@ -50,7 +50,8 @@ class JointPD:
     """Joint PD control: τ = kp (q_ref − q) − kd v, limited to ±limits.
 
     It is part of the compiled dynamics. Reaching or leaving a limit is an event, at its exact time. It acts
-    on joints with one coordinate, including unbounded revolute joints; a free base has no actuator.
+    on joints with one coordinate; revolute joints without bounds (continuous in a URDF) have two, (cos, sin),
+    and need a function. A free base has no actuator.
 
     Attributes:
         kp: Stiffness ≥ 0 [N m/rad or N/m]: a number for all joints, or (nv,), with zeros for no control.

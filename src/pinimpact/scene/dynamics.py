@@ -34,6 +34,7 @@ from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, Drives, JointPD, no_drives
 from .dense_step import WORKS
+from .islands import tree_masses
 from .layout import SceneLayout
 from .scene import Scene
 
@@ -108,6 +109,7 @@ class SceneDynamics:
             control.work = self.work
         self.work.stiff_joints = stiff
         self.work.force_margin = math.inf
+        self.work.gravity = float(np.linalg.norm(model.gravity.linear))
         active_set.close_held(self.work)
 
     def _workspace(
@@ -169,6 +171,7 @@ class SceneDynamics:
                 "velocity_parent": layout.chains[1],
                 "velocity_joint": layout.velocity_joint,
                 "joint_metres": layout.metres_per_unit,
+                "tree_mass": tree_masses(model),
                 "contact_blocks": tables.blocks,
                 "sphere_constants": tables.spheres,
                 "friction": tables.friction,

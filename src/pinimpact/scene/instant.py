@@ -19,7 +19,7 @@ from ..errors import BoundReachedWarning, IrregularMotionError
 from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
-from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING, WEIGHTLESS
+from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
@@ -108,7 +108,6 @@ class Instant:
         work.touching_gap = 4.0 * work.gap_floor
         work.resting_speed = 0.0 if "sustained contact" in without else resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
-        work.force_tolerance = WEIGHTLESS * pin.computeTotalMass(model) * gravity
         self.shapes = ShapeWatch(model, layout, self.dynamics, state)
         self.shapes.tolerance = work.touching_gap
         self.rims = Rims(model, data, self.dynamics, state)

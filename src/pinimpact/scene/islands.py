@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import Integers
+from ..arrays import Array, Integers
 
 
 def tree_roots(model: pin.Model) -> Integers:
@@ -15,6 +15,15 @@ def tree_roots(model: pin.Model) -> Integers:
         if parent > 0:
             roots[joint] = roots[parent]
     return roots
+
+
+def tree_masses(model: pin.Model) -> Array:
+    """Return the mass (njoints,) of the tree of each joint [kg]; infinite for the world and without mass."""
+    roots, total = tree_roots(model), np.zeros(model.njoints)
+    for joint in range(1, model.njoints):
+        total[roots[joint]] += model.inertias[joint].mass
+    total[total == 0.0] = np.inf
+    return np.asarray(total[roots])
 
 
 def islands(roots: Integers, ends: Integers) -> Integers:

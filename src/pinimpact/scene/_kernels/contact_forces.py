@@ -17,7 +17,7 @@ from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
 from ..._numeric.tolerances import ROUNDOFF
-from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, SINGULAR_STILL
+from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, ROUNDED, SINGULAR_STILL, WEIGHTLESS
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
@@ -334,11 +334,64 @@ def relative_residual(work, x):
 
 
 @inlined
+def negligible_force(work, mass, inverse_inertia, response, couplings, forces):
+    """Return the force of a row that is taken as zero [N]. (11.13)
+
+    Args:
+        work: The workspace, with the generalized forces `tau` of the state last evaluated.
+        mass: Mass of the lightest tree that the row moves [kg].
+        inverse_inertia: Inverse inertia of the row, its entry on the diagonal of W [1/kg].
+        response: (nv,) v̇ per unit of the force of the row.
+        couplings: (m,) accelerations of the row per unit of each force.
+        forces: (m,) the forces [N].
+    """
+    torques = others = 0.0
+    tau = work.tau
+    for j in range(len(tau)):
+        torques += abs(response[j] * tau[j])
+    for b in range(len(forces)):
+        others += abs(couplings[b] * forces[b])
+    inertia = min(mass, 1.0 / inverse_inertia) if inverse_inertia > 0.0 else mass
+    return inertia * max(WEIGHTLESS * max(work.gravity, torques, others), ROUNDED * LEAST_SIZE)
+
+
+@inlined
+def mass_at_contact(work, i):
+    """Return the mass of the lighter one of the trees that contact i connects [kg]."""
+    return min(work.tree_mass[work.contact_joints[i, 0]], work.tree_mass[work.contact_joints[i, 1]])
+
+
+@inlined
+def mass_at_joint(work, j):
+    """Return the mass of the tree of the joint with velocity j [kg]."""
+    return work.tree_mass[work.velocity_joint[j]]
+
+
+@inlined
+def row_tolerances(work):
+    """Fill `row_tolerance`, the forces of the active rows that are taken as zero."""
+    mode, index, found = work.active_mode, work.active_index, work.row_tolerance
+    system, response, solution = work.system, work.force_response, work.solution
+    last = 0
+    for i in range(len(mode) + len(work.scalar_velocity)):
+        rows = 3 if i < len(mode) and mode[i] != SLIP else 1
+        last += rows
+        a = last - 1
+        if i < len(mode):
+            mass = mass_at_contact(work, index[i])
+        else:
+            mass = mass_at_joint(work, work.scalar_velocity[i - len(mode)])
+        for b in range(last - rows, last):
+            found[b] = negligible_force(work, mass, system[a, a], response[a], system[a], solution)
+
+
+@inlined
 def apply_forces(work, acceleration, powers):
     """Add the effect of the forces `work.solution` to v̇ (nv,); fill `contact_force` and `scalar_force`.
 
     `powers` (2,) is overwritten with those of sliding friction and of moving surfaces [W]. Returns the margin
-    of the forces within Coulomb's law and their bounds (11.6) [N]; negative if one is violated.
+    of the forces within Coulomb's law and their bounds (11.6), with tolerances [N]; negative if one is
+    violated.
     """
     solution, response, directions = work.solution, work.force_response, work.slip_direction
     velocity, surface = work.contact_velocity, work.surface_velocity
@@ -347,7 +400,8 @@ def apply_forces(work, acceleration, powers):
     for m in range(len(solution)):
         for j in range(len(acceleration)):
             acceleration[j] += response[m, j] * solution[m]
-    margin = np.inf
+    row_tolerances(work)
+    margin, tolerance = np.inf, work.row_tolerance
     friction_power = surface_power = 0.0
     m = 0
     for i in range(len(mode)):
@@ -355,7 +409,7 @@ def apply_forces(work, acceleration, powers):
             force[i, 0] = -mu[i] * directions[i, 0] * solution[m]
             force[i, 1] = -mu[i] * directions[i, 1] * solution[m]
             force[i, 2] = solution[m]
-            margin = min(margin, force[i, 2])
+            margin = min(margin, force[i, 2] + tolerance[m])
             m += 1
         else:
             for d in range(3):
@@ -363,13 +417,13 @@ def apply_forces(work, acceleration, powers):
             m += 3
             if mode[i] == STICK:
                 tangent = math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2)
-                margin = min(margin, force[i, 2], mu[i] * force[i, 2] - tangent)
+                margin = min(margin, min(force[i, 2], mu[i] * force[i, 2] - tangent) + tolerance[m - 1])
         for d in range(3):
             friction_power += force[i, d] * velocity[i, d]
             surface_power += force[i, d] * surface[i, d]
     for i in range(len(lower)):
         scalar[i] = work.joint_metres[work.scalar_velocity[i]] * solution[m]
-        margin = min(margin, solution[m] - lower[i], upper[i] - solution[m])
+        margin = min(margin, min(solution[m] - lower[i], upper[i] - solution[m]) + tolerance[m])
         m += 1
     powers[0], powers[1] = friction_power, surface_power
     return margin

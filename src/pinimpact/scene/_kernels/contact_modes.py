@@ -161,10 +161,11 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     stopped, against = flags(size, False), np.zeros(size)  # see `come_to_rest`
     threshold = np.empty(size)
     touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, threshold)
-    modes_of_contacts(work, what, force, unique, threshold, stopped, chosen)
+    negligible = touching_rows.negligible_forces(work, what, response, delassus, force)
+    modes_of_contacts(work, what, force, negligible, unique, threshold, stopped, chosen)
     reject_contacts(work, what, stopped, certain, chosen.rejected)
     scalar = candidates[work.contacts :]
-    modes_of_scalar_rows(work, what, scalar, force, threshold, stopped, against, chosen)
+    modes_of_scalar_rows(work, what, scalar, force, negligible, threshold, stopped, against, chosen)
     start = np.empty(size)
     active_speed = touching_rows.speeds_of_rows(work, what, v, start)
     gained, fastest = stop(work, what, candidates, start, stopped, against, chosen, v)
@@ -198,7 +199,7 @@ def reject_contacts(work, what, stopped, certain, rejected):
 
 
 @inlined
-def modes_of_scalar_rows(work, what, scalar, force, threshold, stopped, against, chosen):
+def modes_of_scalar_rows(work, what, scalar, force, negligible, threshold, stopped, against, chosen):
     """Fill the modes of limits and of joints with dry friction from the forces on their rows.
 
     A row opens, or starts to slide, if its force is at a bound and its acceleration points away from it.
@@ -211,11 +212,8 @@ def modes_of_scalar_rows(work, what, scalar, force, threshold, stopped, against,
         a, i, limit, strength = first + m, what.scalars[m], what.joints[m], force[first + m]
         rubs = scalar[work.limits + i] != 0
         closed = not (
-            (free[a] > threshold[a] and strength <= (1.0 - AT_BOUND) * what.lower[m] + work.force_tolerance)
-            or (
-                free[a] < -threshold[a]
-                and strength >= (1.0 - AT_BOUND) * what.upper[m] - work.force_tolerance
-            )
+            (free[a] > threshold[a] and strength <= (1.0 - AT_BOUND) * what.lower[m] + negligible[a])
+            or (free[a] < -threshold[a] and strength >= (1.0 - AT_BOUND) * what.upper[m] - negligible[a])
         )
         stopped[a] = closed
         if rubs and not closed:
@@ -286,11 +284,11 @@ def turn_rows(direction, rows, velocity):
 
 
 @inlined
-def modes_of_contacts(work, what, force, unique, threshold, stopped, chosen):
+def modes_of_contacts(work, what, force, negligible, unique, threshold, stopped, chosen):
     """Fill modes and directions of slip, and which rows stop, `stopped` (m,), from the forces on contacts.
 
-    `what` is the `Touching`, whose `free` includes the forces by now; other arguments as in
-    `resulting_accelerations`.
+    `what` is the `Touching`, whose `free` includes the forces by now; `negligible` (m,) are the forces that
+    are taken as zero; other arguments as in `resulting_accelerations`.
     """
     contacts, _, _, _, velocity, acceleration, slip, mu, held, _, _ = what
     before, modes, reference = work.modes, chosen.modes, chosen.reference
@@ -303,14 +301,14 @@ def modes_of_contacts(work, what, force, unique, threshold, stopped, chosen):
             for a in range(b, b + 3):
                 stopped[a] = True
             continue
-        if normal <= work.force_tolerance and acceleration[b + 2] > threshold[b]:
+        if normal <= negligible[b + 2] and acceleration[b + 2] > threshold[b]:
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
         # a contact sticks if its force is inside the cone, or if it is not accelerated (unless it has been
         # sliding and forces are unique); whether its force then leaves the cone is an event, see
         # `events.force_bound`
-        pushes = normal > work.force_tolerance
+        pushes = normal > negligible[b + 2]
         begins = math.hypot(acceleration[b], acceleration[b + 1])
         inside = pushes and tangent <= (1.0 - AT_BOUND) * mu[k] * normal
         inside |= (not unique or before[i] != SLIP) and begins <= threshold[b]

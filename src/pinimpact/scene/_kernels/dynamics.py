@@ -261,4 +261,4 @@ def evaluate(work, t, out):
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive: a negative one shows that slip has passed a singularity
     jams = effective <= NEGLIGIBLE and contact_forces.accelerates_inward(work)
-    work.force_margin = -math.inf if orientation < 0 or jams else work.force_tolerance + margin
+    work.force_margin = -math.inf if orientation < 0 or jams else margin

@@ -41,10 +41,12 @@ def choose_forces(work, t, out):
 @jit
 def doubtful_margin(work):
     """Return the force margin [N] up to which, given the errors, the forces may violate their bounds."""
-    largest_force = 0.0
+    largest_force = tolerance = 0.0
     for force in work.solution:
         largest_force = max(largest_force, abs(force))
-    return 2.0 * work.force_tolerance + DOUBTFUL * largest_force
+    for negligible in work.row_tolerance:
+        tolerance = max(tolerance, negligible)
+    return 2.0 * tolerance + DOUBTFUL * largest_force
 
 
 @inlined

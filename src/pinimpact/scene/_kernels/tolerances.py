@@ -26,7 +26,7 @@ LEAST_SIZE = LITTLE * 9.80665
 """Least sum of terms to which accelerations are compared [m/s²]: a thousandth of gravity."""
 
 WEIGHTLESS = 1e-10
-"""Force, relative to the weight of the robot, that is taken as zero."""
+"""Force that is taken as zero, relative to the largest load of its row: weight, torques, forces. (11.13)"""
 
 AT_BOUND = NEGLIGIBLE
 """Distance from a bound, relative to the bound, at which a drive effort or a friction force is at it."""

@@ -19,7 +19,7 @@ from ..._numeric.tolerances import RANK, ROUNDOFF
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
-from .contact_forces import FREE, SLIP
+from .contact_forces import FREE, SLIP, mass_at_contact, mass_at_joint, negligible_force
 from .dynamics import follow_surface, motion_of_contact
 from .tolerances import LEAST_SIZE, NEGLIGIBLE, ROUNDED
 
@@ -172,6 +172,23 @@ def resulting_accelerations(delassus, free, force, contacts, unique, threshold):
         threshold[a] = (ROUNDED if unique else NEGLIGIBLE) * (threshold[a] + LEAST_SIZE)
         if unit > 0.0:  # effect of the error of the forces
             threshold[a] += USABLE / scale_a[a]
+
+
+@inlined
+def negligible_forces(work, what, response, delassus, force):
+    """Return (m,) the forces of normal and scalar rows that are taken as zero [N], see `negligible_force`.
+
+    `response` (m, nv) is M⁻¹ rowsᵀ, row by row; `force` (m,) are the forces.
+    """
+    closed, found = 3 * len(what.contacts), np.zeros(len(force))
+    for a in range(len(force)):
+        if a < closed and a % 3 != 2:
+            continue
+        mass = mass_at_contact(work, what.contacts[a // 3]) if a < closed else 0.0
+        if a >= closed:
+            mass = mass_at_joint(work, what.scalars[a - closed])
+        found[a] = negligible_force(work, mass, delassus[a, a], response[a], delassus[a], force)
+    return found
 
 
 @inlined

@@ -4,7 +4,8 @@ Among all x with (G M⁻¹H) x = −a° (9.3) that leave the motion unchanged,
 
     maximise m   with   x₃ ≥ m (slip),   μx₃ − |x_t| ≥ m (stick),   x − lower ≥ m,   upper − x ≥ m.   (11.6)
 
-The maximum is continuous in the state, and the modes hold exactly as long as it is not negative.
+The maximum is continuous in the state, and the modes hold exactly as long as it is not negative. Forces are
+taken as zero within `row_tolerance`, which is added to the margins.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ LARGEST = 1e4
 def widest_margin(work, found):
     """Return the largest margin of all forces with the same motion at the state last evaluated [N]. (11.6)
 
+    It includes `row_tolerance`.
+
     If it is positive, `found` (rows,) is overwritten with the forces that have this margin.
     """
     size = len(work.target)
@@ -41,7 +44,7 @@ def widest_margin(work, found):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
-        return 0.0
+        return work.row_tolerance.min()
     n = free + 1
     lines, cones = count_bounds(work)
     lines += 1
@@ -159,7 +162,7 @@ def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
         null: (free, rows) basis of the changes.
         free: Number of unknowns y.
         unit: Unit of forces [N].
-        margin: 1 if a last unknown m is the margin from the bounds, 0 without it.
+        margin: 1 if a last unknown m is the margin from the bounds, with `row_tolerance`; 0 without it.
         G, h: Matrix and vector of the cone program.
         line, cone: Rows of the first half-line and of the first cone.
 
@@ -168,25 +171,26 @@ def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
     """
     modes, mu = work.active_mode, work.active_friction
     lower, upper = work.scalar_lower, work.scalar_upper
+    slack = margin * work.row_tolerance
     a = 0
     for k in range(len(modes)):
         if modes[k] == SLIP:
-            bound_row(G, h, line, 1.0, x[a] / unit, null, free, a, margin)
+            bound_row(G, h, line, 1.0, (x[a] + slack[a]) / unit, null, free, a, margin)
             line += 1
             a += 1
             continue
         if modes[k] == STICK:
-            bound_row(G, h, cone, mu[k], x[a + 2] * mu[k] / unit, null, free, a + 2, margin)
+            bound_row(G, h, cone, mu[k], (x[a + 2] * mu[k] + slack[a + 2]) / unit, null, free, a + 2, margin)
             for d in range(2):
                 bound_row(G, h, cone + 1 + d, 1.0, x[a + d] / unit, null, free, a + d, 0.0)
             cone += 3
         a += 3
     for m in range(len(lower)):
         if lower[m] > -math.inf:
-            bound_row(G, h, line, 1.0, (x[a] - lower[m]) / unit, null, free, a, margin)
+            bound_row(G, h, line, 1.0, (x[a] - lower[m] + slack[a]) / unit, null, free, a, margin)
             line += 1
         if upper[m] < math.inf:
-            bound_row(G, h, line, -1.0, (upper[m] - x[a]) / unit, null, free, a, margin)
+            bound_row(G, h, line, -1.0, (upper[m] - x[a] + slack[a]) / unit, null, free, a, margin)
             line += 1
         a += 1
     return cone

@@ -75,6 +75,7 @@ class SceneWorkspace(Workspace):
     velocity_signs = reals("nv", meaning="of a contact: 1 moves the tip only, −1 the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
     joint_metres = reals("nv", meaning="κ of (10.6): m per unit of velocity, 1 for prismatic joints")
+    tree_mass = reals("bodies", meaning="mass of the tree of each joint [kg]; infinite for the world")
     contact_blocks = integers("blocks", 3, meaning="first contact, the one after the last, sphere or −1")
     sphere_constants = reals("spheres", CONSTANTS, meaning="as of a contact; joints of the first contact")
     friction = reals("contacts", meaning="coefficients of friction of sustained contact")
@@ -122,7 +123,8 @@ class SceneWorkspace(Workspace):
     sample_slip = reals(7, "active_contacts", meaning="speeds along the reference direction of slip [m/s]")
     contact_force = reals("active_contacts", 3, meaning="in contact axes [N]")
     scalar_force = reals("active_scalars", meaning="forces of scalar rows [N or N m]")
-    force_margin = real("margin of (11.6) plus `force_tolerance`; below 0 the modes do not hold [N]")
+    row_tolerance = reals("active_rows", meaning="forces taken as zero, (11.13); of a contact that of N [N]")
+    force_margin = real("margin of (11.6) with `row_tolerance`; below 0 the modes do not hold [N]")
     rank_tolerance = real("relative pivot tolerance for the rank of (9.3) where forces are not unique")
     forces_unique = flag("whether the motion determines the forces; else they are those of least norm")
     callback_failed = flag("whether a call into Python or Pinocchio raised an exception")
@@ -136,7 +138,7 @@ class SceneWorkspace(Workspace):
     stick_speed = real("speed below which a contact may stick [m/s]")
     certain_speed = real("speed above which a contact keeps sliding when modes are chosen again [m/s]")
     direction_speed = real("speed below which slip keeps its reference direction [m/s]")
-    force_tolerance = real("apparent violation of Coulomb's law that may be rounding [N]")
+    gravity = real("gravitational acceleration [m/s²]")
 
     # the current step
     rtol = real("relative tolerance of a step")

@@ -11,6 +11,7 @@ from ...._compile.jit import external, inlined, jit
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
+from ..tolerances import WEIGHTLESS
 from ..widest_margin import widest_margin
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
@@ -28,14 +29,14 @@ def value(work, _, t):
 @declared(SceneWorkspace, float)
 @jit
 def margin_of_forces(work, enough):
-    """Return the force margin (11.6) at the state last evaluated, plus `force_tolerance` [N].
+    """Return the force margin (11.6) at the state last evaluated, with `row_tolerance` [N].
 
     If that of the present forces is below `enough`, it is maximized over all forces with the same motion, and
     the maximizing forces are stored in `inner_forces`.
     """
     margin = work.force_margin
     if margin < enough and not work.forces_unique:
-        margin = widest_margin(work, work.inner_forces) + work.force_tolerance
+        margin = widest_margin(work, work.inner_forces)
     return margin
 
 
@@ -50,7 +51,8 @@ def first(work, end):
         return math.inf, 0
     if clear_of_zero(work.sample_times, work.sample_margins, work.samples):
         return math.inf, 0
-    largest = 0.0
-    for force in work.solution:
-        largest = max(largest, abs(force))
-    return first_fall(work, 0, end, work.rtol * largest), 0
+    largest, least_load = 0.0, math.inf
+    for a in range(len(work.solution)):
+        largest = max(largest, abs(work.solution[a]))
+        least_load = min(least_load, work.row_tolerance[a] / WEIGHTLESS)
+    return first_fall(work, 0, end, work.rtol * min(largest, least_load)), 0
