@@ -38,11 +38,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     kinds = parser.add_mutually_exclusive_group()
     kinds.add_argument("--controlled", action="store_true", help="robots under joint PD control")
-    kinds.add_argument("--others", action="store_true", help="robots that these lack, and random trees")
+    kinds.add_argument("--others", action="store_true", help="further robots, and random trees")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=float, default=math.inf, help="runs at most")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="time at most")
-    parser.add_argument("--each", type=int, default=60, help="processor time at most of each run [s]")
+    parser.add_argument("--count", type=float, default=math.inf, help="largest number of runs")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="largest time [s]")
+    parser.add_argument("--each", type=int, default=60, help="largest processor time of a run [s]")
     parser.add_argument("--keep", action="store_true", help="write the summary to docs/figures")
     options = parser.parse_args()
     if math.isinf(options.count) and math.isinf(options.seconds):
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def drawn(seed: int, controlled: bool, others: bool) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
-    """Return what a seed draws: name, scene, state and tolerance."""
+    """Return name, scene, state (q, v) and tolerance drawn by a seed."""
     if not controlled:
         return random_trees.draw(seed) if others else draw(seed)
     one = random_control.draw(seed)
@@ -93,12 +93,12 @@ def drawn(seed: int, controlled: bool, others: bool) -> tuple[str, Scene, np.nda
 
 
 def run(scene: Scene, q: np.ndarray, v: np.ndarray, rtol: float, each: int) -> Trajectory:
-    """Return a run of one second.
+    """Return the motion of `DURATION` seconds.
 
     Raises:
-        TimeoutError: It took more than so many seconds of the processor.
+        TimeoutError: It took more than `each` seconds of processor time.
     """
-    with suppress(PinimpactError):  # kernels are compiled before its time counts
+    with suppress(PinimpactError):  # compiles kernels, which must not count
         simulate(scene, q, v, 1e-9)
     reached = [0.0]
     signal.setitimer(signal.ITIMER_PROF, each)

@@ -1,4 +1,4 @@
-"""Robots under joint PD control drawn at random, dropped onto planes, and what has to hold of their runs."""
+"""Random robots under joint PD control above a plane, and checks of the energy of their motions."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ TIPS = {
     "talos": tuple(f"{foot} {x:+d}{y:+d}" for foot in FEET for x in (-1, 1) for y in (-1, 1)),
 }
 FASTEST = {"function": 3e3, "sampled": 0.3, "JointPD": 1e6}
-"""The largest rate of decay [1/s] of each kind of control; of a sampled one, times its period."""
+"""Largest natural frequency and decay rate [1/s] of each kind of control; for "sampled", times the period."""
 
 
 def _robots() -> dict[str, tuple[pin.Model, np.ndarray]]:
-    """Return the models, and a configuration each to start and to hold about."""
+    """Return each model with the configuration about which initial and reference ones are drawn."""
     robots = {}
     for name in TIPS:
         robot = load_robot(name)
@@ -48,7 +48,7 @@ ROBOTS = _robots()
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a seed draws: the arguments of `simulate`, and words for what it is."""
+    """Arguments of `simulate` drawn by a seed, with a description in `name`."""
 
     name: str
     scene: Scene
@@ -106,7 +106,7 @@ def draw(seed: int) -> Run:
 def _gains(
     rng: np.random.Generator, model: pin.Model, q: np.ndarray, joints: np.ndarray, fastest: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return stiffness and damping (nv,), with no rate of their motion above the fastest one [1/s]."""
+    """Return stiffness and damping (nv,) with natural frequencies and decay rates up to `fastest` [1/s]."""
     kp = joints * 10 ** rng.uniform(0.0, 3.0)
     kd = kp * 10 ** rng.uniform(-2.5, -0.5)
     data = model.createData()
@@ -122,14 +122,14 @@ def _ends(t: np.ndarray, interval: SteppedInterval) -> tuple[int, int]:
 
 
 def violation_in(trajectory: Trajectory, rtol: float) -> str:
-    """Return what cannot be right of a run, or nothing.
+    """Return the violated energy law of a motion, or an empty string.
 
-    Friction of joints and contacts takes energy away, as far as the tolerance lets one see it, for no surface
-    moves; and no energy comes from nowhere.
+    As all surfaces are fixed, friction of joints and contacts must not add energy beyond the tolerance. The
+    energy must balance.
     """
     energy = trajectory.energy
     size, t = energy.kinetic.max() + 1.0, trajectory.t
-    located = np.full(len(t), True)  # time steps book what friction stops in part as an impact
+    located = np.full(len(t), True)  # time steps count part of the work of friction as that of an impact
     for one in trajectory.stepped:
         located &= (t < one.start) | (t > one.end)
         gained = np.diff((energy.joints + energy.friction + energy.impacts)[[*_ends(t, one)]])[0] / size
@@ -140,4 +140,4 @@ def violation_in(trajectory: Trajectory, rtol: float) -> str:
         if gained > 10.0 * rtol:
             return f"the {name} gain {gained:.2g} of the energy by friction"
     missing = relative_energy_residual(trajectory)
-    return f"{missing:.2g} of the energy unaccounted for" if missing > 1e4 * rtol else ""
+    return f"relative energy residual {missing:.2g}" if missing > 1e4 * rtol else ""

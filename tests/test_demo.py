@@ -161,8 +161,8 @@ WITH_FREE_BASES = "solo12", "anymal_c", "icub", "hector", "bolt"
     ["ur5", "iris", *(pytest.param(n, marks=pytest.mark.slow) for n in ("panda", "z1", "talos"))]
     + [pytest.param(n, marks=pytest.mark.exhaustive) for n in ARMS + WITH_FREE_BASES],
 )
-def test_nothing_is_in_the_table(name: str) -> None:
-    """Distances of the meshes themselves from the plate that the replay shows, by Pinocchio."""
+def test_no_mesh_penetrates_the_table(name: str) -> None:
+    """Pinocchio computes the distances between the meshes and the plate that the replay shows."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # mimic joints
         shown = run_demo(name)
@@ -239,7 +239,7 @@ def test_options_of_the_command(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hodograph.png", "replay.html"]
 
 
-def test_frames_that_suggest_themselves() -> None:
+def test_suggested_contact_frames() -> None:
     for name, first in {
         "panda": ["panda_hand_tcp"],
         "solo12": ["FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT"],
@@ -255,11 +255,11 @@ SAMPLES = (
     *("rod", "spherical_pendulum", "panda", "ur5", "allegro_left_hand", "asr_twodof", "cassie", "solo12"),
     *("iris", "tiago", "double_pendulum_continuous"),
 )
-"""An arm, a hand, feet, wings, wheels, joints of every kind, and a file that is not read."""
+"""An arm, a hand, feet, wings, wheels, joints of every kind, and a file that cannot be read."""
 
 
 def robots() -> list[object]:
-    """All named robots; those that are no samples only where all are asked for."""
+    """Return all named robots; those outside SAMPLES are marked as exhaustive."""
     more = pytest.mark.exhaustive
     names = [name for names in named_robots().values() for name in names]
     return [pytest.param(name, marks=[] if name in SAMPLES else more) for name in names]
@@ -267,8 +267,8 @@ def robots() -> list[object]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", robots())
-def test_every_named_robot_strikes_and_moves_on(name: str) -> None:
-    """Its impact takes the energy that its works say; in a scene of its own it falls or swings."""
+def test_every_named_robot_has_consistent_impact_and_motion(name: str) -> None:
+    """The work of the impact equals the change of kinetic energy; in the motion the energy balances."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # mimic joints, and meshes that a distribution lacks
         if name == "cassie":  # an SDF file, which wheels of Pinocchio do not read

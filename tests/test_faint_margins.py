@@ -179,7 +179,7 @@ def test_friction_of_tip_dragged_by_joint_at_rest(lean):
     scene, v = carriage_along_a_rod(lean, 0.15, aside=0.01)
     trajectory = simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10)
     times = np.array([0.1, 0.2, 0.45, 0.55, 0.8])
-    # what the motor asks of the tip leaves that much of its friction to x
+    # friction along x: the bound without the part that balances the motor
     left = np.sqrt((0.15 * 1.1 * G) ** 2 - (2.0 * SPEED) ** 2)
     aside = trajectory.forces_world("tip on plane", times)[:, 0]
     assert aside == pytest.approx(left * np.sign(0.5 - times), rel=1e-3 * lean / 1e-4)
@@ -194,28 +194,28 @@ def test_modes_of_very_slow_tip_and_joint_at_rest_settle():
 @pytest.mark.parametrize(
     ("seed", "duration"),
     [
-        # a joint that is held beside a foot that slips could be held on, or move with a force that grows
+        # a held joint beside a slipping foot: it could stay held, or move with a growing force
         (162000955, 0.47),
-        # slip could begin, but would not go on in the direction in which it begins
+        # slip could begin, but would not continue in its initial direction
         (184000256, 0.5),
         # two corners slip near where forces cease to exist, a thousand times the loads
         pytest.param(187000590, 0.993, marks=pytest.mark.exhaustive),
-        # corners whose slip jams until one of them, which approaches, has come to rest
+        # sliding corners that jam until one of them, which approaches, has come to rest
         pytest.param(192000238, 0.892, marks=pytest.mark.exhaustive),
-        # a corner that is about to jam, and a joint that seems to turn back in steps that go beyond it
+        # a corner about to jam, and a joint that seems to reverse in steps beyond that instant
         pytest.param(204000405, 0.9187, marks=pytest.mark.exhaustive),
-        # a tip begins to slip and a joint rests, of which rounding lets only one have no velocity
+        # a tip at incipient slip and a joint at rest: rounding lets only one have zero velocity
         (188000342, 0.56),
-        # joints that yield beside a tip that begins to slip, whose rows hardly differ from its: one to three
+        # one to three joints at incipient slip beside a tip with nearly the same rows
         (228000205, 0.38),
         (224000380, 0.47),
         (217000296, 0.44),
-        # a joint that is held until another turns, by which it moves the other way if that one rests
+        # a joint held until another turns; if that one rests, it moves in the other direction
         (232000015, 0.485),
         (235000952, 0.765),
-        # joints that nothing moves but rounding
+        # joints that only rounding moves
         (235000084, 0.955),
-        # a foot's corner that jams slower than errors
+        # a foot's corner that jams at a velocity below the tolerance
         pytest.param(216000018, 0.503, marks=pytest.mark.exhaustive),
     ],
 )

@@ -140,7 +140,7 @@ def head(apart):
 
 
 def test_10_joints_that_together_move_no_inertia_are_named():
-    """A point mass has no inertia about the line to the intersection of axes; all pivots are positive."""
+    """A point mass has no inertia about the line to the intersection of axes; pivots of M are positive."""
     contact = pinimpact.Contact("tip", pinimpact.Plane(), friction=0.3)
     v = np.array([0.2, 0.0, -1.0, *np.zeros(6)])
     for apart in (0.0, 1e-8):

@@ -1,4 +1,4 @@
-"""Robots under joint PD control: seeds at which modes once did not settle, or contacts pulled."""
+"""Robots under joint PD control, drawn by seeds that failed in earlier versions."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from .random_control import DURATION, draw, violation_in
 @pytest.mark.parametrize(
     "seed",
     [
-        2000015,  # joints about to break away beside a contact that sticks
-        1000008,  # feet that have come to rest under joints that dry friction holds
-        2000252,  # a joint that dry friction holds to rounding, beside a contact without friction
+        2000015,  # joints at incipient slip beside a sticking contact
+        1000008,  # feet at rest, with joints held by dry friction
+        2000252,  # a joint whose load equals its dry friction up to rounding, beside a frictionless contact
         1000095,
         1000249,
         1000281,
-        1000293,  # joints that break away as contacts close
+        1000293,  # joints that begin to slip when contacts close
         3000051,
-        3000009,  # modes ahead that lead back
+        3000009,  # the next modes lead back to the previous ones
         4000053,
-        5000092,  # a row that hardly differs from others, of which a rank taken too low let the joint move
+        5000092,  # a nearly redundant row: if the rank is too low, the joint moves
         1000142,
-        1000026,  # joints that break away in a motion of all but redundant contacts
-        4000311,  # bounces lower than a gap that counts as none
-        86000207,  # a stretched arm whose tip and dry joints hold it, and whose forces are hardly determined
-        91000145,  # a joint that is let go, and thrown against its friction as another one stops
-        179000872,  # a joint that two tips at rest carry along against its dry friction, slower than an error
-        # feet that turn on several corners: by other forces than those of the modes they would not
+        1000026,  # joints that begin to slip while contacts are nearly redundant
+        4000311,  # bounces lower than the gap that is taken as zero
+        86000207,  # a stretched arm held by its tip and by dry friction: ill-conditioned forces
+        91000145,  # a joint begins to slip, and its velocity is reversed when another joint stops
+        179000872,  # a joint moved by two tips at rest against its dry friction, slower than the tolerance
+        # feet that turn about several corners only under the forces of their modes
         pytest.param(61000205, marks=pytest.mark.exhaustive),
     ],
 )
@@ -41,16 +41,16 @@ def test_modes_settle(seed):
     assert violation_in(trajectory, run.rtol) == ""
 
 
-def test_a_contact_keeps_sliding_whose_sticking_would_accelerate_a_joint_against_its_friction():
-    """Else its modes do not settle, and time steps cross ten intervals. (theory.md, 11.5)"""
+def test_contact_keeps_sliding_if_sticking_would_accelerate_joint_against_its_friction():
+    """Otherwise the modes cycle, and ten intervals are crossed by time steps. (theory.md, 11.5)"""
     run = draw(9801000098)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
     assert not trajectory.stepped
 
 
 @pytest.mark.parametrize("seed", [1000285, 1000348])
-def test_no_contact_pulls_beside_a_joint_whose_dry_friction_and_stop_share_its_load(seed):
-    """Forces that are not unique are within their bounds where any are, not where those of least norm are."""
+def test_no_contact_pulls_beside_joint_supported_by_dry_friction_and_stop(seed):
+    """Non-unique forces are admissible if any solution is, even if that of least norm is not."""
     run = draw(seed)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
     assert violation_in(trajectory, run.rtol) == ""
@@ -59,11 +59,11 @@ def test_no_contact_pulls_beside_a_joint_whose_dry_friction_and_stop_share_its_l
 @pytest.mark.parametrize(
     ("seed", "evaluations"),
     [
-        (2000010, 10_000),  # damping that is stiff, joints that creep, a margin next to zero
-        (5000171, 20_000),  # drives and damping that are stiff, of which only drives were implicit
+        (2000010, 10_000),  # stiff damping, slowly moving joints, a margin near zero
+        (5000171, 20_000),  # stiff drives and stiff damping
     ],
 )
-def test_what_is_stiff_and_slow_takes_few_evaluations(seed, evaluations):
+def test_stiff_control_of_slow_joints_takes_few_evaluations(seed, evaluations):
     run = draw(seed)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
     assert violation_in(trajectory, run.rtol) == ""
