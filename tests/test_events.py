@@ -262,6 +262,30 @@ def test_callback_that_reverses_its_guard_is_called_once():
     assert turned == pytest.approx([hit, 2 * hit, 3 * hit, 4 * hit], abs=1e-9)
 
 
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("e", [1.0, 0.5])
+def test_callback_that_turns_the_motion_back_is_called_once_per_arrival(scheme, e):
+    """The guard reaches zero and returns: between its walls the point moves at constant speeds."""
+
+    def rebound(t, q, v):
+        return np.array([-e * v[0], 0.0, 0.0])
+
+    walls = [
+        Event(lambda t, q, v: q[0] - 0.2, rebound, name="right"),
+        Event(lambda t, q, v: q[0] + 0.1, rebound, name="left"),
+    ]
+    model = slider()
+    model.gravity = pin.Motion.Zero()
+    trajectory = simulate(Scene(model, events=walls), np.zeros(3), [0.7, 0, 0], 1.9, scheme=scheme)
+    t, speed, wanted = 0.2 / 0.7, 0.7, []
+    while t < 1.9:
+        wanted.append(t)
+        speed *= e
+        t += 0.3 / speed
+    assert times(trajectory) == pytest.approx(wanted, abs=1e-12)
+    assert abs(trajectory.v[-1, 0]) == pytest.approx(0.7 * e ** len(wanted), rel=1e-12)
+
+
 def test_event_before_end_of_slip():
     """A block slides to rest at v₀/(μ g); before, its speed decreases to 0.1 m/s."""
     scene = Scene(

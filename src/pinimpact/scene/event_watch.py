@@ -56,7 +56,8 @@ class EventWatch:
     def at_instant(self, t: float, q: Array, v: Array) -> Interruption | None:
         """Update the signs of the guards after the impacts of an instant, and trigger the events there.
 
-        Each event happens at most once per instant, so repeated calls end.
+        Each event happens at most once per instant, so repeated calls end. A guard that is left at zero has
+        no sign until the motion gives it one.
 
         Returns:
             The first event that changes or ends the motion, or None.
@@ -64,7 +65,10 @@ class EventWatch:
         state = self._state
         for i, event in enumerate(self._events):
             sign, before = _sign(self._value(i, t, q.copy(), v.copy())), state.signs[i]
-            counts = _counts(event, before, sign) and not (t == state.instant and i in state.happened)
+            happened = t == state.instant and i in state.happened
+            if happened and before == 0.0:
+                continue
+            counts = _counts(event, before, sign) and not happened
             state.signs = _with(state.signs, i, sign or before)
             if counts:
                 interruption = self._happen(i, t, q, v)
@@ -148,6 +152,8 @@ class EventWatch:
         state.counts = _with(state.counts, i, state.counts[i] + 1)
         velocity = _called_back(event, t, q, v)
         after = v.copy() if velocity is None else velocity
+        if velocity is not None and self._value(i, t, q, velocity) == self._value(i, t, q, v):
+            state.signs = _with(state.signs, i, 0.0)  # the new velocity decides to which side the guard goes
         self._records.append(EventRecord(t, event.label, q.copy(), v.copy(), after))
         ends = 0 < int(event.terminal) <= state.counts[i]
         if velocity is None and not ends:
