@@ -140,7 +140,7 @@ def cold(count: int) -> float:
 
 
 def cold_starts(rounds: int) -> list[str]:
-    """Compare 16 cold processes with one; what they compute when warm takes its time too."""
+    """Compare 16 processes with an empty cache with one; the times include those of the simulations."""
     one, many = np.median([[cold(1), cold(16)] for _ in range(rounds)], axis=0)
     return [
         f"16 processes with an empty cache, each a landing: {duration(many)} = {many / one:.2f} × "

@@ -19,7 +19,7 @@ COUNT = 100_000
 SHARED = 40_000
 STATES = 16
 STATES_OF_LAWS = 500
-ROWS_OF_A_PART = 500  # less than a millisecond: on a machine at work the longer of two is put off more often
+ROWS_OF_A_PART = 500  # less than 1 ms: longer calls would be interrupted more often on a busy machine
 ROWS = 20_000
 ROBOTS = {"panda": "panda_hand_tcp", "ur5": "tool0", "talos": "gripper_left_fingertip_1_link"}
 

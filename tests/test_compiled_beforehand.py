@@ -1,4 +1,4 @@
-"""A scene compiles all kernels that it may need when it is set up, with declared types, and none later."""
+"""Set-up of a scene compiles all kernels that it may need, with declared types; none is compiled later."""
 
 from __future__ import annotations
 

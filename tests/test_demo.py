@@ -1,4 +1,4 @@
-"""The demo: any robot strikes, as it is asked to, or says in a sentence why it cannot."""
+"""The demo: impacts of all named robots as requested, or an error of one sentence."""
 
 from __future__ import annotations
 

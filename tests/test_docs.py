@@ -30,7 +30,7 @@ OTHER_TOOLS = {
     "pdb",
     "tests.reference.generate",
 }
-"""What shell blocks may call besides pinimpact and scripts of the repository."""
+"""Commands that shell blocks may call besides pinimpact and scripts of the repository."""
 
 
 def having(*languages: str) -> list[Path]:
@@ -54,10 +54,10 @@ def test_blocks_of_page_run_with_the_printed_output(page: Path, tmp_path: Path) 
 def test_wrong_output_on_a_page_is_detected(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text('```python\nprint("one")\n```\n\n```text\ntwo\n```\n', encoding="utf-8")
-    with pytest.raises(pages.PageError, match=r"page\.md:5 promises\ntwo"):
+    with pytest.raises(pages.PageError, match=r"page\.md:5: expected output\ntwo"):
         pages.run_page(page, tmp_path)
     page.write_text("```sh\npinimpact plan nothing.toml\n```\n", encoding="utf-8")
-    with pytest.raises(pages.PageError, match=r"ends with 1"):
+    with pytest.raises(pages.PageError, match=r"exits with 1"):
         pages.run_page(page, tmp_path)
 
 

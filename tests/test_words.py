@@ -1,4 +1,4 @@
-"""The words of docs, help, messages, public docstrings and names: none of those that are retired."""
+"""Retired words do not appear in docs, help, messages, public docstrings and names."""
 
 from __future__ import annotations
 
@@ -69,13 +69,13 @@ RETIRED = {
     r"\bdoes not know\b(?! the)": "does not support",
     r"\bcome to nothing\b|\bcomes? to its end\b": "ends",
 }
-"""What is no longer said, as a regular expression, and what is said instead."""
+"""Regular expressions of retired words, each with its replacement."""
 
 FOUND = {pattern: re.compile(pattern, re.IGNORECASE) for pattern in RETIRED}
 
 
 def retired(text: str) -> list[str]:
-    """Return the retired words of a text with what is around them, and what to say."""
+    """Return the retired words in a text, each with its context and replacement."""
     text = " ".join(text.split())
     return [
         f"…{text[max(0, hit.start() - 40) : hit.end() + 40]}… → {RETIRED[pattern]}"
@@ -92,7 +92,7 @@ def strings_of(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def docstrings_of(tree: ast.Module) -> set[int]:
-    """Return the ids of the literals of a module that are docstrings, of attributes too."""
+    """Return the ids of the docstrings of a module, including those of attributes."""
     return {
         id(node.value)
         for node in ast.walk(tree)
@@ -101,7 +101,7 @@ def docstrings_of(tree: ast.Module) -> set[int]:
 
 
 def messages_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the string literals of a module that are no docstrings, with their lines."""
+    """Yield the string literals of a module that are not docstrings, with their lines."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     docstrings = docstrings_of(tree)
     for node in ast.walk(tree):
@@ -138,7 +138,7 @@ def comments_of(path: Path) -> str:
 
 
 SOURCES = sorted(path for path in (ROOT / "src").rglob("*.py") if "_kernels" not in path.parts)
-"""Modules that have messages: kernels have none."""
+"""Modules with messages; kernels have none."""
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 PAGES = [*pages.pages(), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
 MODULE_NAMES = re.compile(r"benchmarks\.sweeps|test_sweeps\w+")
@@ -155,7 +155,7 @@ def test_messages_and_help() -> None:
         (path, *literal) for path in SOURCES if path.parent.name == "app" for literal in strings_of(path)
     ]
     literals += [(path, *literal) for path in EXAMPLES for literal in strings_of(path)]
-    assert len(literals) > 1000  # the walk has found them
+    assert len(literals) > 1000
     found = [f"{path.name}:{line} {word}" for path, line, text in literals for word in retired(text)]
     assert found == []
 
@@ -164,13 +164,13 @@ def test_public_docstrings_and_names() -> None:
     found = [f"{name}: {word}" for name, text in public_docstrings() for word in retired(text)]
     names = [name for name, _ in public_docstrings()]
     names += [f"{name}({argument})" for name, argument in public_arguments()]
-    assert len(names) > 300  # the walk has found them
+    assert len(names) > 300
     found += [name for name in names if retired(re.sub(r"[_.()]", " ", name))]
     assert found == []
 
 
 PLAIN = ("_compile", "_numeric", "app", "geometry", "robot", "scene/_kernels", "studies", "visual")
-"""Packages whose private docstrings and comments are in plain terms too."""
+"""Packages whose private docstrings and comments are checked too."""
 
 
 @pytest.mark.parametrize("package", PLAIN)

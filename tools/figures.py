@@ -1,11 +1,10 @@
-"""Put measured figures into the pages, so that each stands in one place: docs/figures.
+"""Copy the measured figures of docs/figures into the pages.
 
-Tables are marked by the file that has them, ``<!-- speed.txt -->`` … ``<!-- end -->``.
-
-A figure in a sentence is marked by its file and row, and is the time of the row in two digits:
+A table is marked by the name of its file, ``<!-- speed.txt -->`` … ``<!-- end -->``. A figure in a sentence
+is marked by its file and row, and is the time of that row with two digits:
 ``<!-- startup: first scene, cold cache -->10 s<!-- end -->``.
 
-python -m tools.figures writes them all.
+python -m tools.figures updates all pages.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
 
 def figure(file: str, row: str) -> str:
-    """Return a figure of docs/figures as it stands in a sentence.
+    """Return a figure of docs/figures formatted for a sentence.
 
     Args:
-        file: Name of a JSON file with rows, without its ending.
-        row: What its row measures.
+        file: Name of a JSON file with rows, without its suffix.
+        row: Its entry "what", the name of the measurement.
 
     Raises:
         KeyError: There is no such row, or more than one.
@@ -40,19 +39,19 @@ def figure(file: str, row: str) -> str:
 
 
 def time_of(seconds: float) -> str:
-    """Return a time above zero in two digits, with its unit."""
+    """Return a positive time with two digits and its unit."""
     size, unit = next((size, unit) for size, unit in UNITS if float(f"{seconds:.1e}") >= size)
     return f"{two_digits(seconds / size)} {unit}"
 
 
 def two_digits(number: float) -> str:
-    """Return a number above zero in two digits, without an exponent."""
+    """Return a positive number with two digits, without an exponent."""
     rounded = float(f"{number:.1e}")
     return f"{rounded:.{max(0, 1 - math.floor(math.log10(rounded)))}f}"
 
 
 def refreshed(text: str) -> str:
-    """Return the text of a page with its tables and figures as docs/figures has them."""
+    """Return the text of a page with its tables and figures replaced by those of docs/figures."""
 
     def table(mark: re.Match[str]) -> str:
         rows = (FIGURES / mark[1]).read_text(encoding="utf-8").rstrip()

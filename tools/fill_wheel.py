@@ -1,4 +1,4 @@
-"""Add the compiled kernels to a wheel, so that nobody who installs it waits for them.
+"""Add the compiled kernels to a wheel, so that an installed package need not compile them.
 
 python -m tools.fill_wheel dist/pinimpact-0.1.0-py3-none-any.whl
 
@@ -20,7 +20,7 @@ from pathlib import Path
 from pinimpact._compile import portable
 
 KEPT = ".nbi", ".nbc", ".json"
-"""What a cache folder contains of kernels, and of the hashes of their sources."""
+"""Suffixes of the cache files of kernels and of the file of hashes of their sources."""
 
 
 def run(*command: str, **variables: str) -> None:
@@ -30,7 +30,7 @@ def run(*command: str, **variables: str) -> None:
 
 
 def tags_of_numba() -> dict[str, str]:
-    """Return the tags of the wheel of numba: kernels run where it does."""
+    """Return the tags of the installed numba's wheel, as kernels run on the same platforms."""
     lines = (distribution("numba").read_text("WHEEL") or "").splitlines()
     tags = [line.removeprefix("Tag: ").split("-") for line in lines if line.startswith("Tag: ")]
     names = "--python-tag", "--abi-tag", "--platform-tag"

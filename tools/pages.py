@@ -1,12 +1,12 @@
-"""Run what stands in the code blocks of README.md and docs/, and keep the pictures that it draws.
+"""Run the code blocks of README.md and docs/, compare their output and store their pictures.
 
-A page is run from its first block to its last, in one folder and one Python session:
+The blocks of a page are run in order, in one folder and one Python session:
 
-- ``python`` is executed, ``sh`` too where a line calls `pinimpact`;
+- ``python`` is executed, and each line of ``sh`` that calls `pinimpact`;
 - ``xml`` and ``toml`` with a title are written to the file of that name;
-- ``text`` right after one of the first two is what that has to print, to the letter.
+- ``text`` directly after ``python`` or ``sh`` must equal the output of that block.
 
-python -m tools.pages [PAGE ...] runs all pages, or some, and copies the pictures that they show to
+python -m tools.pages [PAGE ...] runs all or the given pages and copies the pictures that they show to
 docs/figures/pages/.
 """
 
@@ -35,11 +35,11 @@ class Block:
     """A fenced block of code.
 
     Attributes:
-        language: The word after the fence.
-        title: Of the file that it is, empty for none.
-        text: What it says.
-        line: Where it begins.
-        follows: Language of the block right before it, with nothing in between, or "".
+        language: Word after the fence.
+        title: Name of the file to which the text is written, or "".
+        text: Text between the fences.
+        line: Line of the first fence.
+        follows: Language of the previous block if no text stands in between, or "".
     """
 
     language: str
@@ -55,7 +55,7 @@ def pages() -> list[Path]:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """Return the blocks of a page in order."""
+    """Return the code blocks of a page in order."""
     text = page.read_text(encoding="utf-8")
     blocks: list[Block] = []
     end = 0
@@ -72,14 +72,14 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 class PageError(Exception):
-    """A block does not do what its page says."""
+    """A command fails, or the output of a block differs from the page."""
 
 
 def run_page(page: Path, folder: Path) -> dict[str, object]:
-    """Run a page in a folder, and return the names that its Python leaves.
+    """Run a page in a folder and return the global names of its Python session.
 
     Raises:
-        PageError: A block that fails, or prints other than its page says.
+        PageError: A command fails, or the output of a block differs from the page.
     """
     names: dict[str, object] = {"__name__": "__main__"}
     printed = ""
@@ -96,13 +96,13 @@ def run_page(page: Path, folder: Path) -> dict[str, object]:
             elif block.language == "sh":
                 printed = "".join(run_command(line, place) for line in commands_of(block.text))
             elif block.language == "text" and block.follows in ("python", "sh") and printed != block.text:
-                raise PageError(f"{place} promises\n{block.text}\nand this is printed:\n{printed}")
+                raise PageError(f"{place}: expected output\n{block.text}\nactual output\n{printed}")
     return names
 
 
 @contextlib.contextmanager
 def in_folder(folder: Path) -> Iterator[None]:
-    """Work in a folder, and come back."""
+    """Change the current folder, and restore it at the end."""
     before = Path.cwd()
     os.chdir(folder)
     try:
@@ -117,14 +117,14 @@ def commands_of(text: str) -> list[str]:
 
 
 def run_command(line: str, place: str) -> str:
-    """Run a line that calls `pinimpact`, and return what it prints."""
+    """Run a `pinimpact` command and return its output."""
     from click.testing import CliRunner
 
     from pinimpact.app.cli import main
 
     result = CliRunner().invoke(main, shlex.split(line)[1:], catch_exceptions=False)
     if result.exit_code:
-        raise PageError(f"{place}: {line!r} ends with {result.exit_code}:\n{result.output}")
+        raise PageError(f"{place}: {line!r} exits with {result.exit_code}:\n{result.output}")
     return result.stdout
 
 
@@ -134,7 +134,7 @@ def pictures_of(page: Path) -> list[str]:
 
 
 def main(names: list[str]) -> None:
-    """Run pages and keep their pictures."""
+    """Run all or the named pages and store their pictures."""
     PICTURES.mkdir(exist_ok=True)
     for page in pages():
         if names and page.stem not in names:

@@ -36,7 +36,7 @@ WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false
 
 
 def kind_of(annotated: Any) -> str | None:
-    """Return the kind of quantity that an annotated type is, such as "length"."""
+    """Return the kind of quantity of an annotated type, such as "length"."""
     for item in (*getattr(annotated, "__metadata__", ()), *getattr(annotated, "metadata", ())):
         if isinstance(item, BeforeValidator) and isinstance(item.func, partial):
             return str(item.func.keywords["kind"])
@@ -67,7 +67,7 @@ def value_and_kind(annotation: Any) -> tuple[str, str | None]:
 
 
 def default_of(field: FieldInfo) -> str:
-    """Return a default as it would stand in a file."""
+    """Return a default in the notation of scene files."""
     if field.is_required():
         return "**required**"
     value = field.default
