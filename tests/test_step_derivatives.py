@@ -488,3 +488,32 @@ def test_impact_next_to_closed_limit():
     scene = Scene(model, Contact("tip", Plane((0, 0, -0.35)), 0.3, 0.6), limit_restitution=0.0)
     run, _ = compare(scene, np.array([0.1, 0.2, 0.3]), np.array([0.0, 1.0, 2.0]), 0.24, 4e-3, [1, 2, 4, 5])
     assert {record.source for record in run.impacts} == {"tip on plane", "upper upper"}
+
+
+@pytest.mark.parametrize("gap", [0.08, 0.084])
+def test_landing_right_at_the_midpoint_or_end_of_a_step_has_no_derivative(gap):
+    """A cart strikes a door without restitution; the sign of the gap decides which step stops it."""
+    model, end = pin.Model(), 0.05
+    for name, kind in (("cart", pin.JointModelPX()), ("door", pin.JointModelRZ())):
+        joint = model.addJoint(0, kind, pin.SE3.Identity(), name)
+        middle = pin.SE3(np.eye(3), np.array([0.0, 0.5 * (name == "door"), 0.0]))
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), middle)
+        model.addJointFrame(joint)
+    model.gravity = pin.Motion.Zero()
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
+    leaf = Plane(normal=(-1, 0, 0), body="door")
+    scene = Scene(model, Contact("cart", leaf, friction=0.0, offset=(0.0, 0.4, 0.0)))
+
+    def state(apart, **more):
+        run = simulate(scene, [-apart, 0.0], [4.0, 0.0], end, scheme="time-stepping", dt=2e-3, **more)
+        return np.concatenate([run.q[-1], run.v[-1]]), run
+
+    before, run = state(gap, sensitivities="state")
+    found = run.sensitivity(end)
+    ahead, behind = ((state(gap - s)[0] - before) / s for s in (1e-6, -1e-6))
+    assert np.abs(ahead - behind).max() > 0.01
+    assert Boundary.EVENTS_COINCIDE in found.boundary
+    assert np.isnan(found.state[:, 0]).all()
+    beside = state(gap + 1e-3, sensitivities="state")[1].sensitivity(end)
+    assert Boundary.EVENTS_COINCIDE not in beside.boundary
+    assert np.isfinite(beside.state).all()

@@ -262,6 +262,7 @@ class StepSlopes:
         moved = self._solve(taken, False, *given)
         self._refuse_ties(taken, moved, given)
         self._refuse_landings(taken, moved)
+        self._refuse_touches(taken, moved)
         return moved
 
     def _refuse_landings(self, taken: StepTaken, moved: _Moved) -> None:
@@ -274,6 +275,24 @@ class StepSlopes:
         if columns.any():
             self.boundary |= Boundary.JUMP
             moved.v_end[:, moved.v_end.shape[1] - len(columns) + np.flatnonzero(columns)] = np.nan
+
+    def _refuse_touches(self, taken: StepTaken, moved: _Moved) -> None:
+        """Set changes to NaN that move a gap which vanishes right at the midpoint or at the end of a step.
+
+        A contact that arrives without an impact is stopped in that step or in the next one, and its overlap
+        at the end is removed or not, by the sign of these gaps.
+        """
+        found, rows = taken.found, taken.rows
+        middle = found.gap_end - 0.5 * taken.h * found.u_end[rows.normals]
+        touch = (np.abs(middle) <= taken.touching) | (np.abs(found.gap_end) <= taken.touching)
+        for i in np.flatnonzero(found.fast & ~taken.collides & touch).tolist():
+            row = int(rows.normals[i])
+            end = moved.rows.gaps[row] + 0.5 * taken.h * moved.u_end[row]
+            size = np.abs(moved.middle).max(axis=0) + taken.h * np.abs(moved.v_end).max(axis=0)
+            shifted = np.maximum(np.abs(moved.rows.gaps[row]), np.abs(end)) > STEPS_DRIFT * size
+            if shifted.any():
+                self.boundary |= Boundary.EVENTS_COINCIDE
+                moved.v_end[:, shifted] = np.nan
 
     def _refuse_ties(self, taken: StepTaken, moved: _Moved, given: tuple[Any, ...]) -> None:
         """Set changes of the velocity to NaN that depend on how a tie is decided."""

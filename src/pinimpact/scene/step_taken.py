@@ -58,6 +58,7 @@ class StepTaken:
         near: Contacts of its rows.
         axes: (k, 3, 3) axes of these contacts at the midpoint, as rows.
         rows, found: Rows and result of the step.
+        collides: Near contacts and limits that close by an impact law, and not by (16.2).
         touching: Largest gap of a contact that touches [m].
         overlap: Largest overlap that velocities close [m].
         arriving: Indices in (near contacts, near limits) of those that close where the step is cut.
@@ -75,6 +76,7 @@ class StepTaken:
     axes: Array
     rows: StepRows
     found: StepResult
+    collides: Bools
     touching: float
     overlap: float
     arriving: tuple[int, ...] = ()

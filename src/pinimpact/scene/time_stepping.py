@@ -409,8 +409,8 @@ class TimeStepping(Integrator):
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
         given = h, *middle, softened, pushed, follows, self._near_of(rows), axes
-        closable = self._closable_overlap(h, found)
-        return StepTaken(*given, rows, found.kept(), self._touching, closable)
+        rest = self._collides[rows.near(work.contacts)], self._touching, self._closable_overlap(h, found)
+        return StepTaken(*given, rows, found.kept(), *rest)
 
     def _closable_overlap(self, h: float, found: StepResult) -> float:
         """Return the largest overlap [m] that the velocities of the next step close."""
