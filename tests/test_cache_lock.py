@@ -33,11 +33,11 @@ def started(package: Path, code: str = CALL) -> subprocess.Popen[str]:
     )
 
 
-def test_first_runs_at_once_compile_everything_once_between_them(package: Path) -> None:
+def test_concurrent_first_runs_compile_each_kernel_once(package: Path) -> None:
     found = [one.communicate(timeout=300) for one in [started(package) for _ in range(4)]]
     assert [json.loads(out)[0] for out, _ in found] == 4 * [[7.0, 130.0, -3.0]]
     made = [name for out, _ in found for name in json.loads(out)[1]]
-    kept = [name for name in made if name != "scaled"]  # goes into two, which different processes may make
+    kept = [name for name in made if name != "scaled"]  # in two kernels, maybe of different processes
     assert sorted(kept) == ["first", "second", "shifted", "third"]
     assert not list((package.parent / "cache").rglob("*.lock"))
 

@@ -121,7 +121,7 @@ def test_invalid_output_folder_raises_before_computing(
     assert str(tmp_path / "file") in result.output.replace("\n", "")
 
 
-def test_cost_answers_what_reaches_an_error(tmp_path: Path) -> None:
+def test_cost_reports_method_that_reaches_target_error(tmp_path: Path) -> None:
     args = ("cost", "--robot", "two_link_arm", "--method", "exact", "--target", "1e-9", "--time-cap", "0.01")
     result = call(*args, "-o", str(tmp_path))
     assert result.exit_code == 0, result.output
@@ -129,7 +129,7 @@ def test_cost_answers_what_reaches_an_error(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cost.json", "cost.png"]
 
 
-def test_cost_sums_up_and_has_all_rows_on_demand(tmp_path: Path) -> None:
+def test_cost_prints_summary_and_all_rows_on_request(tmp_path: Path) -> None:
     args = ("cost", "--robot", "two_link_arm", "--method", "exact", "--method", "rk4", "--time-cap", "60")
     result = call(*args, "-o", str(tmp_path))
     assert result.exit_code == 0, result.output

@@ -129,7 +129,7 @@ print({one.py_func.__qualname__: set(one.overloads) - {declared_types(one)}
 @pytest.mark.parametrize(
     "code", [RUNS, LISTS, GROUPS, AS_DECLARED], ids=["nothing later", "lists", "groups", "as declared"]
 )
-def test_what_is_compiled(code):
+def test_nothing_is_compiled_after_set_up(code):
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
         cwd=Path(__file__).parents[1],
@@ -187,4 +187,4 @@ print({one.data["dispatcher"].py_func.__qualname__ for _, one in record.buffer i
 
 
 def test_nothing_is_compiled_after_warmup() -> None:
-    test_what_is_compiled(WARMED)
+    test_nothing_is_compiled_after_set_up(WARMED)

@@ -268,7 +268,7 @@ def test_unstoppable_approach(law, friction):
         solve_impact(ImpactProblem(np.zeros((3, 3)), V, friction, 0.5, law))
 
 
-def test_approach_that_sticking_makes_unstoppable():
+def test_approach_of_locked_sticking_contact_raises():
     """W has rank two and v is not in its range, so v₃ stays negative while the contact sticks."""
     locked = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])
     with pytest.raises(pinimpact.UnstoppableApproachError, match="give less friction"):
