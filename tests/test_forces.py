@@ -241,3 +241,48 @@ def test_forces_nearest_to_known_ones_are_not_adhesive():
     forces = np.array([trajectory.forces(f"tip{k} on plane", 0.05)[2] for k in range(4)])
     np.testing.assert_allclose(forces, [G, 0.0, 0.0, G], atol=1e-9)
     assert forces.min() == 0.0
+
+
+CORNERS = [(0.3, 0.0, -0.2), (-0.2, 0.25, -0.2), (-0.15, -0.3, -0.2), (0.1, 0.1, -0.2)]
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize(
+    ("feet", "mu", "speed", "unique"),
+    [
+        (3, 0.0, 0.0, True),
+        (4, 0.0, 0.0, False),
+        (3, 0.7, 0.0, False),  # sideways forces on three feet
+        (3, 0.7, 5.0, True),
+        (4, 0.7, 5.0, False),  # one of the four has no force
+        (1, 0.7, 0.0, True),
+    ],
+)
+def test_both_schemes_report_where_forces_are_unique(scheme, feet, mu, speed, unique, tmp_path):
+    """Three normal forces follow from statics; of more forces, or forces along the floor, only sums do."""
+    if feet == 1:
+        model, q0 = slider(), np.zeros(3)
+        contacts = [Contact("point", Plane(), friction=mu)]
+    else:
+        model = free_body(pin.Inertia(4.0, np.array([0.02, 0.01, 0.05]), 0.1 * np.eye(3)), CORNERS)
+        contacts, q0 = [Contact(f"tip{k}", Plane(), friction=mu) for k in range(feet)], [0.0, 0.0, 0.2, *UP]
+    trajectory = simulate(Scene(model, contacts), q0, speed * np.eye(model.nv)[0], 0.3, scheme=scheme)
+    trajectory.save(tmp_path / "motion.npz")
+    copies = pickle.loads(pickle.dumps(trajectory)), pinimpact.Trajectory.load(tmp_path / "motion.npz")
+    for run in (trajectory, *copies):
+        assert run.forces_unique([0.1, 0.2, 0.3]).tolist() == [unique] * 3
+        assert run.forces_unique(0.2) == unique
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_forces_of_a_limit_and_a_contact_that_bear_one_load_are_not_unique(scheme):
+    def unique(contacts, held=()):
+        model = slider()
+        model.lowerPositionLimit[2], model.upperPositionLimit[2] = 0.0, 1.0
+        scene = Scene(model, contacts, held=held)
+        return simulate(scene, np.zeros(3), np.zeros(3), 0.1, scheme=scheme).forces_unique(0.05)
+
+    foot = Contact("point", Plane(), friction=0.5)
+    assert unique([])
+    assert not unique([foot])
+    assert not unique([], held=[foot])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
@@ -11,11 +11,15 @@ import numpy as np
 from ..arrays import Array, Bools, Integers
 from ._kernels import active_set, force_evaluation
 from ._kernels.contact_forces import SLIP
+from ._kernels.step_rows import MeanForces, StepResult, StepRows
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import DenseStep
 
 FORCE_SAMPLES = 7
 """Number of nodes per step at which a saved trajectory stores the forces; they are interpolated between."""
+
+OF_CONTACTS = 8
+"""Number of fields of `StepForces` that have a row for each contact."""
 
 _NONE = np.empty(0)
 
@@ -81,48 +85,87 @@ class Forces(NamedTuple):
         points: (n, 3) points where they act [m].
         normals: (n, 3) surface normals there, in world axes.
         joints: (nv,) forces of joint limits and dry friction [N, N m].
-        unique: Whether the motion determines them; else they are those of equally stiff contacts.
+        unique: Whether the motion determines them; else they are those of equally stiff contacts. None in a
+            time step, see `ForceSource.unique`.
     """
 
     world: Array
     points: Array
     normals: Array
     joints: Array
-    unique: bool
+    unique: bool | None
 
 
 class StepForces(NamedTuple):
     """Forces in a time step, during which they are constant.
 
     Attributes:
-        contacts: (k,) numbers of the contacts that are near in the step.
-        world, points, normals: (k, 3) as in `Forces`.
+        contacts: (k,) numbers of the contacts that are near in the step, and of held ones.
+        world, points: (k, 3) as in `Forces`.
+        axes: (k, 3, 3) contact axes t₁, t₂, n as rows.
+        impulses: (k, 3) impulses in contact axes [N s].
+        speeds: (k, 3) velocities of the contact points at the end of the step, in contact axes [m/s].
+        gaps: (k,) gaps there [m], zero for held contacts.
+        ends: (k, 2) joints of the tips and of the surfaces.
         joints: (nv,) as in `Forces`.
+        modes: (nl + nv,) modes of joint limits and joints.
         resting: The forces on bodies at rest, or None.
     """
 
     contacts: Integers
     world: Array
     points: Array
-    normals: Array
+    axes: Array
+    impulses: Array
+    speeds: Array
+    gaps: Array
+    ends: Integers
     joints: Array
+    modes: Integers
     resting: StepForces | None = None
+
+    @classmethod
+    def of(
+        cls,
+        work: SceneWorkspace,
+        rows: StepRows,
+        found: StepResult,
+        mean: MeanForces,
+        resting: StepForces | None,
+    ) -> StepForces:
+        """Return the forces of a step just reported, and those on bodies at rest."""
+        contacts, near = np.concatenate([rows.contacts, rows.held]), len(rows.contacts)
+        count = len(contacts)
+        gaps = np.zeros(count)
+        gaps[:near] = found.gap_end[:near]
+        impulses, speeds = (part[: 3 * count].reshape(count, 3) for part in (found.impulse, found.u_end))
+        return cls(
+            *(contacts, mean.world, mean.points, mean.axes, impulses, speeds, gaps),
+            *(work.contact_joints[contacts], mean.joints, work.modes[work.contacts :].copy(), resting),
+        )
+
+    def of_contacts(self) -> tuple[Any, ...]:
+        """Return the fields that have a row for each contact, the first ones."""
+        return self[:OF_CONTACTS]
+
+    def replaced(self, of_contacts: Iterable[Any], joints: Array) -> StepForces:
+        """Return other forces of the same step, without bodies at rest; see `of_contacts`."""
+        parts: dict[str, Any] = dict(zip(self._fields, of_contacts, strict=False))
+        return self._replace(**parts, joints=joints, resting=None)
 
     def together(self) -> StepForces:
         """Return these forces together with those on bodies at rest."""
         if self.resting is None:
             return self
-        contacts = np.concatenate([self.contacts, self.resting.contacts])
-        both = zip(self[1:4], self.resting[1:4], strict=True)
-        world, points, normals = (np.concatenate(pair) for pair in both)
-        return StepForces(contacts, world, points, normals, self.joints + self.resting.joints)
+        both = zip(self.of_contacts(), self.resting.of_contacts(), strict=True)
+        return self.replaced(map(np.concatenate, both), self.joints + self.resting.joints)
 
     def of_all(self, count: int) -> Forces:
         """Return the forces of all `count` contacts."""
         world, points, normals = every = np.zeros((3, count, 3))
         whole = self.together()
-        every[:, whole.contacts] = whole.world, whole.points, whole.normals
-        return Forces(world, points, normals, whole.joints, True)
+        every[:, whole.contacts] = whole.world, whole.points, whole.axes[:, 2]
+        return Forces(world, points, normals, whole.joints, None)
 
     def acting(self, count: int) -> Bools:
         """Return (`count`,) whether each contact has a force."""
@@ -142,6 +185,9 @@ class ForceSource(Protocol):
 
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
         """Return the forces at a time [s] within a step, given with its number; None if nothing is active."""
+
+    def unique(self, number: int, step: DenseStep, t: float) -> bool:
+        """Return whether the motion determines these forces."""
 
 
 class Dynamics(Protocol):
@@ -171,11 +217,18 @@ class EvaluatedForces:
 
     Args:
         dynamics: Returns the dynamics of the scene, with tolerances set.
+        determined: Returns whether the motion determines the forces of a time step, given with the
+            configuration at its midpoint and a workspace.
         contacts: Names of the contacts.
     """
 
-    def __init__(self, dynamics: Callable[[], Dynamics], contacts: Sequence[str]) -> None:
-        self._make = dynamics
+    def __init__(
+        self,
+        dynamics: Callable[[], Dynamics],
+        determined: Callable[[StepForces, Array, SceneWorkspace], bool],
+        contacts: Sequence[str],
+    ) -> None:
+        self._make, self._determined = dynamics, determined
         self.contacts = contacts
 
     @cached_property
@@ -210,6 +263,14 @@ class EvaluatedForces:
         normals[closed.swapped] *= -1.0
         return Forces(world, points, normals, joints, bool(unique))
 
+    def unique(self, number: int, step: DenseStep, t: float) -> bool:
+        """See `ForceSource`."""
+        if isinstance(step.closed, StepForces):
+            middle, _ = step.at(step.start + 0.5 * step.h)
+            return self._determined(step.closed.together(), middle, self._dynamics.work)
+        found = self.at(number, step, t)
+        return found is None or bool(found.unique)
+
 
 class TabulatedForces:
     """Forces that are interpolated between the Chebyshev nodes of each step.
@@ -238,12 +299,15 @@ class TabulatedForces:
         used = np.flatnonzero(np.any(closed, axis=0)) if closed else np.zeros(0, dtype=np.int64)
         rows: list[int] = []
         found: list[list[Forces]] = []
+        unique: list[bool] = []
         for number, step in enumerate(steps):
             times = step.start + (step.end - step.start) * nodes()
             at_nodes = [one for t in times.tolist() if (one := source.at(number, step, t)) is not None]
             if at_nodes:
                 rows.append(number)
                 found.append(at_nodes)
+                flags = [one.unique for one in at_nodes]
+                unique.append(source.unique(number, step, step.start) if None in flags else all(flags))
         n, nv = len(used), len(steps[0].v) if steps else 0
 
         def table(part: Callable[[Forces], Array], *shape: int) -> Array:
@@ -258,7 +322,7 @@ class TabulatedForces:
             table(lambda one: one.points[used], n, 3),
             table(lambda one: one.normals[used], n, 3),
             table(lambda one: one.joints, nv),
-            np.array([all(one.unique for one in step) for step in found], dtype=np.bool_),
+            np.array(unique, dtype=np.bool_),
         )
 
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
@@ -271,6 +335,11 @@ class TabulatedForces:
         weights = _weights((t - step.start) / width if width > 0.0 else 0.0)
         world, points, normals, joints = (np.tensordot(weights, one[m], 1) for one in sampled)
         return Forces(world, points, normals, joints, bool(unique[m]))
+
+    def unique(self, number: int, step: DenseStep, t: float) -> bool:
+        """See `ForceSource`."""
+        m = self._row.get(number)
+        return m is None or bool(self.tables[-1][m])
 
 
 def nodes() -> Array:

@@ -95,10 +95,8 @@ class Rest:
         self._set_joints()
         work = self._work
         on_them = self.joints[work.contact_joints[forces.contacts]].all(axis=1)
-        contacts, world, points, normals, joints, _ = forces
+        moving = ~self.joints[work.velocity_joint]
         self._state.resting_forces = None
         if self.joints[1:].any():
-            joints = np.where(self.joints[work.velocity_joint], joints, 0.0)
-            self._state.resting_forces = StepForces(
-                contacts[on_them], world[on_them], points[on_them], normals[on_them], joints
-            )
+            parts = (part[on_them] for part in forces.of_contacts())
+            self._state.resting_forces = forces.replaced(parts, np.where(moving, 0.0, forces.joints))

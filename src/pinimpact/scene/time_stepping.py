@@ -391,7 +391,7 @@ class TimeStepping(Integrator):
         step = DenseStep(t, h, state.q, state.v, state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
         if acts or resting is not None:
-            step.closed = StepForces(contacts, world, points, mean.axes[:, 2], mean.joints, resting)
+            step.closed = StepForces.of(work, rows, found, mean, resting)
         return step, mean.axes
 
     def _step_data(

@@ -198,8 +198,13 @@ class Trajectory:
 
     def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> Bools:
         """Return whether the motion determines the forces, () or (m,)."""
-        found = self._of_times(t, side, lambda forces: np.array(forces is None or forces.unique))
-        return found.astype(bool)
+        _check_side(side)
+        times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
+        found = np.ones(len(times), dtype=bool)
+        for k, time in enumerate(map(self._covered, times if self._segments else ())):
+            number = self._number(time, side)
+            found[k] = self._forces.unique(number, self._segments[number], time)
+        return found.reshape(np.shape(t))
 
     def center_of_pressure(
         self, contacts: Sequence[str], t: ArrayLike, side: Literal["left", "right"] = "right"
