@@ -91,7 +91,7 @@ def test_normal_forces_of_tripod_agree_with_statics():
     points = np.array(feet)[:, :2]
     weights = np.linalg.solve(np.column_stack([points, np.ones(3)]).T, [0.02, 0.01, 1.0])
     assert np.abs(forces[:, 2] - 4.0 * G * weights).max() <= 1e-8
-    assert not trajectory.forces_unique(0.2)  # but sideways forces do not
+    assert not trajectory.forces_unique(0.2)  # sideways forces do not
     center = trajectory.center_of_pressure(names, 0.2)
     assert np.abs(center - [0.02, 0.01, 0.0]).max() <= 1e-9
 

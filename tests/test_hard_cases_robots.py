@@ -21,7 +21,7 @@ def rng(request):
     return np.random.default_rng(list(request.node.name.encode()))
 
 
-def hit_and_ledger(model, q, v, contact):
+def checked_impact(model, q, v, contact):
     """Compute an impact and compare its work with Pinocchio's energies before and after."""
     data = model.createData()
     hit = pinimpact.impact(model, data, q, v, contact)
@@ -43,7 +43,7 @@ def test_10_energy_of_robots(name, rng):
             v *= 10.0 ** rng.uniform(-3, 3)
             contact = cases.random_contact(ROBOTS[name], rng, law=law)
             v = cases.approaching(model, model.createData(), q, v, contact)
-            hit_and_ledger(model, q, v, contact)
+            checked_impact(model, q, v, contact)
 
 
 @pytest.mark.parametrize("name", ["solo12", "talos"])
@@ -96,7 +96,7 @@ def struck(model, rng, law="energetic", speed=1.0, scale=0.5):
 def test_10_a_chain_of_sixty_joints(rng):
     model = chain(np.full(60, 0.5))
     for law in LAWS:
-        hit_and_ledger(model, *struck(model, rng, law))
+        checked_impact(model, *struck(model, rng, law))
 
 
 @pytest.mark.parametrize("masses", [np.logspace(4, -4, 8), np.logspace(-4, 4, 8), [1, 1e-8, 1, 1e8]])
@@ -104,14 +104,14 @@ def test_10_inertia_ratios_of_1e8_along_a_chain(masses, rng):
     """The condition number of the mass matrix is at least 1e8; the energy balance shows its accuracy."""
     model = chain(np.asarray(masses, dtype=float))
     for _ in range(5):
-        hit_and_ledger(model, *struck(model, rng))
+        checked_impact(model, *struck(model, rng))
 
 
 @pytest.mark.parametrize("inertia", [1e-6, 1e-12])
 def test_10_links_with_nearly_no_inertia(inertia, rng):
     model = chain([1.0, 1.0, 1e-9, 1.0], inertia=inertia)
     for _ in range(5):
-        hit_and_ledger(model, *struck(model, rng))
+        checked_impact(model, *struck(model, rng))
 
 
 def test_10_a_mass_matrix_that_is_singular_is_named(rng):
@@ -151,7 +151,7 @@ def test_10_joints_that_together_move_no_inertia_are_named():
         with pytest.raises(pinimpact.ModelError, match=message):
             pinimpact.simulate(pinimpact.Scene(model), pin.neutral(model), v, 0.1)
     model = head(1e-4)
-    hit_and_ledger(model, pin.neutral(model), v, contact)
+    checked_impact(model, pin.neutral(model), v, contact)
 
 
 def struck_blindly(model, rng):
@@ -185,7 +185,7 @@ def test_8_full_extension_hit_along_the_arm():
         contact = pinimpact.Contact("tip", plane, friction=0.0, restitution=0.5)
         v = np.array([1.0, -2.0, 1.0])
         v *= -np.sign(pinimpact.contact_matrices(model, model.createData(), q, contact).velocity(v)[2])
-        hit_and_ledger(model, q, v, contact)
+        checked_impact(model, q, v, contact)
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])
@@ -193,7 +193,7 @@ def test_8_arms_stretched_out(name, rng):
     robot = pinimpact.load_robot(name)
     q, v = pin.neutral(robot.model), rng.normal(size=robot.model.nv)
     contact = cases.random_contact(ROBOTS[name], rng, law="energetic")
-    hit_and_ledger(robot.model, q, cases.approaching(robot.model, robot.data, q, v, contact), contact)
+    checked_impact(robot.model, q, cases.approaching(robot.model, robot.data, q, v, contact), contact)
 
 
 def test_8_a_frame_on_the_base():

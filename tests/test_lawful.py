@@ -1,4 +1,4 @@
-"""What the scenes' fuzz looks for between samples is seen where it is."""
+"""Checks of random motions (`tests.lawful`) detect violations of Coulomb's law between samples."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def test_ten_balls_agree_with_siconos():
     start = np.eye(10)[0]
     _, ours = collide(*row_of_balls(10), start, restitution=1.0, exponent=1.5, simultaneous="propagate")
     assert ours == pytest.approx(theirs, abs=5e-4)
-    assert abs(ours[8] - theirs[8]) > 4e-4  # the error is that of Siconos: see the test before
+    assert abs(ours[8] - theirs[8]) > 4e-4  # an error of Siconos, as the previous test shows
 
 
 @pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8])

@@ -1,4 +1,4 @@
-"""Robots and trees of joints that other draws lack: runs reach their end and obey the laws."""
+"""Motions of further robots and of random trees of joints complete and obey the laws of contact."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEEDS = tuple(402_000_000 + k for k in (2, 5, 6, 8, 9, 11, 12, 13))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_run_reaches_its_end_lawfully(seed: int) -> None:
+def test_motions_complete_and_obey_laws(seed: int) -> None:
     _, scene, q, v, rtol = random_trees.draw(seed)
     trajectory = simulate(scene, q, v, 0.5, rtol=rtol, atol=1e-2 * rtol)
     assert trajectory.t[-1] == 0.5

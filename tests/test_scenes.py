@@ -76,7 +76,7 @@ def test_effect_of_zero_coefficient_equals_effect_switched_off(effect):
     idle = (lambda t, q, v: zero) if effect == "control" else None
     contact = Contact("tip", Plane(point=(0, 0, -0.8)), friction=0.2)
     q0, v0 = [1.0, 0.3], [0.0, 1.0]
-    given = run(Scene(model, [contact], control=idle), q0, v0, 1.0, max_step=np.inf)  # take the same steps
+    given = run(Scene(model, [contact], control=idle), q0, v0, 1.0, max_step=np.inf)  # the same steps
     left_out = run(Scene(robot(), [contact], without=[effect]), q0, v0, 1.0)
     assert len(given.impacts) == len(left_out.impacts) > 0
     assert given.q[-1] == pytest.approx(left_out.q[-1], abs=1e-13)

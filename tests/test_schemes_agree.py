@@ -240,7 +240,7 @@ def test_disc_rolls_in_circle_by_time_stepping():
         joint, pin.Inertia(mass, np.zeros(3), np.diag([across, across, along])), pin.SE3.Identity()
     )
     model.addJointFrame(joint)
-    raised = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * thin]))  # its lower rim goes round the centre
+    raised = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * thin]))  # origin: centre of the lower face
     shapes.addGeometryObject(pin.GeometryObject("disc", joint, raised, coal.Cylinder(radius, thin)))
     unbounded(model)
     scene = Scene(model, Contact(geometry="disc", plane=Plane(), friction=0.8), geometry=shapes)

@@ -217,18 +217,14 @@ def test_vertically_falling_robot_has_derivative_only_if_it_sticks(scheme, frict
 
 
 def test_block_slides_up_slope_and_back():
-    # up a difference_quotient too steep to stick on
-    difference_quotient, mu, speed = 0.5, 0.2, 1.0
-    normal = (-np.sin(difference_quotient), 0.0, np.cos(difference_quotient))
+    # the slope is too steep to stick
+    slope, mu, speed = 0.5, 0.2, 1.0
+    normal = (-np.sin(slope), 0.0, np.cos(slope))
     scene = Scene(point("block"), [Contact("block centre", Plane(normal=normal), mu, name="block")])
-    up = np.array([np.cos(difference_quotient), 0.0, np.sin(difference_quotient)])
+    up = np.array([np.cos(slope), 0.0, np.sin(slope)])
     run = simulate(scene, np.zeros(3), speed * up, 0.6, sensitivities="state")
     found = run.sensitivity(0.6).state
-    rise, fall = (
-        9.81
-        * np.sin(difference_quotient)
-        * np.array([1 + mu / np.tan(difference_quotient), 1 - mu / np.tan(difference_quotient)])
-    )
+    rise, fall = 9.81 * np.sin(slope) * np.array([1 + mu / np.tan(slope), 1 - mu / np.tan(slope)])
     # v(t) = −fall (t − v₀/rise)
     assert np.isclose(up @ found[3:, 3:] @ up, fall / rise, rtol=1e-9)
     top = speed / rise
@@ -802,7 +798,7 @@ def test_accumulating_bounces_have_derivative_only_after_rest():
     assert found.boundary != Boundary.NONE
 
 
-# ---- boundaries and refusals
+# ---- boundaries and errors
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.25])
@@ -1091,11 +1087,9 @@ def test_derivative_includes_change_of_force_distribution():
     h = 1e-4
     ahead, behind = end(h), end(-h)
     expected = np.concatenate([ahead.q[-1] - behind.q[-1], ahead.v[-1] - behind.v[-1]]) / (2.0 * h)
-    difference_quotient = -(np.cos(first) + np.cos(first + second)) / np.cos(first + second)
+    slope = -(np.cos(first) + np.cos(first + second)) / np.cos(first + second)
     found = end(0.0, sensitivities="state").sensitivity(duration)
-    np.testing.assert_allclose(
-        found.state @ [0.0, 1.0, difference_quotient, 0.0, 0.0, 0.0], expected, atol=1e-7
-    )
+    np.testing.assert_allclose(found.state @ [0.0, 1.0, slope, 0.0, 0.0, 0.0], expected, atol=1e-7)
     assert abs(expected[3]) > 1e-3
 
 

@@ -199,7 +199,7 @@ def test_ball_placed_on_belt_reaches_two_sevenths_of_its_speed():
     scene = Scene(ball(), [Contact("center", belt, friction=0.3, radius=0.1)])
     trajectory = run(scene, [0, 0, 0.1, *UP], np.zeros(6), 1.0)
     R = pin.Quaternion(trajectory.q[-1, 3:]).matrix()
-    assert R @ trajectory.v[-1, :3] == pytest.approx([2 / 7, 0, 0], abs=1e-7)  # as of a ball placed on it
+    assert R @ trajectory.v[-1, :3] == pytest.approx([2 / 7, 0, 0], abs=1e-7)
 
 
 def test_joint_limit_rebounds_and_supports_load():
