@@ -1,6 +1,6 @@
-"""Coulomb's law with more rows than velocities, solved by Newton's method in the velocities. (theory.md, 16)
+"""An iteration of the method of augmented Lagrangians, by Newton's method in the velocities. (theory.md, 16)
 
-The method of augmented Lagrangians (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991)
+The method (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991)
 computes from impulses f the next ones, f⁺, by
 
     f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺.                                                 (16.3)
@@ -9,10 +9,9 @@ r > 0 is a compliance for each contact or row. For a contact
 
     P(z) = (Π_ρ(z_t), [z_n]₊),   ρ = μ [z_n]₊,                                                          (16.4)
 
-where Π_ρ is the projection onto the disc of radius ρ; for a scalar row P is the projection onto its bounds. A
-fixed point satisfies the law for any r. From f = 0 the first f⁺ are the impulses of contacts with compliances
-r; each further iteration reduces u by a factor of about r/W. Newton's method with a line search solves (16.3)
-for w in a few steps. Its matrix has the size of w, with zeros for bodies that are not in contact.
+where Π_ρ is the projection onto the disc of radius ρ; for a scalar row P is the projection onto its bounds.
+Newton's method with a line search solves (16.3) for w in a few steps. Its matrix has the size of w, with
+zeros for bodies that are not in contact. The iteration is in `augmented_lagrangian`.
 """
 
 from __future__ import annotations
@@ -22,29 +21,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLOAT_STACK, FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
+from .._compile.declared import FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
-from .loops import assign
 from .products import dot
 from .profile import apply_within, eliminate_profile, substitute_profile
-from .tolerances import STALLED, TINY
-
-ITERATIONS = 40
-"""Largest number of iterations of (16.3)."""
+from .tolerances import TINY
 
 STEPS = 40
 """Largest number of steps of Newton's method per iteration, and of steps of a line search."""
 
-PATIENCE = 3
-"""Number of successive iterations without halving of the change after which the method may end."""
+REUSED = 0.5
+"""Factor by which a step with factors of a previous iteration is to reduce the residual."""
 
-FINER = 0.1
-"""Factor of r after an iteration that hardly reduces the change of f, if the last factor has halved it."""
-
-QUICK, HALF = 0.2, 0.5
-"""Factors by which an iteration is to reduce the change of f, before and after r is first reduced. This saves
-half of the iterations in piles; if many follow, Newton's method fails."""
+RESOLVED = 1e3
+"""Residual of Newton's method, relative to the wanted one, at which it may end if it falls no further."""
 
 SLOPE = 0.1
 """Slope at the end of a line search relative to that at its start."""
@@ -262,31 +253,6 @@ def find_profile(problem, first, last):
         first[a] = k
 
 
-@external
-def fill_compliances(problem, part, diagonal, given):
-    """Fill the diagonal (n,) of W, for each contact its largest entry, and the compliances r, given (n,).
-
-    The largest r of a contact is `part` times the largest diagonal entry of W; without contacts r is in
-    proportion to the diagonal.
-    """
-    _, inverse, _, values, columns, counts, _, _, _, _, compliance = problem
-    nc, softest, largest = len(compliance), 0.0, 0.0
-    for a in range(len(given)):
-        diagonal[a] = 0.0
-        for k in range(counts[a]):
-            row, total = inverse[columns[a, k]], 0.0
-            for o in range(k):
-                total += row[columns[a, o]] * values[a, o]
-            diagonal[a] += values[a, k] * (2.0 * total + row[columns[a, k]] * values[a, k])
-        given[a] = part * diagonal[a]
-    for i in range(nc):
-        j = 3 * i
-        diagonal[j] = diagonal[j + 1] = diagonal[j + 2] = max(diagonal[j], diagonal[j + 1], diagonal[j + 2])
-        largest, softest = max(largest, diagonal[j]), max(softest, compliance[i])
-    for a in range(len(given) if nc > 0 else 0):
-        given[a] = part * largest * (compliance[a // 3] if a < 3 * nc else 1.0) / softest
-
-
 @inlined
 def solve_compliances(problem, profile, r, before, least, now, system, factored):
     """Solve (16.3) for w of the `Iterate` now, given f, by Newton's method.
@@ -302,8 +268,8 @@ def solve_compliances(problem, profile, r, before, least, now, system, factored)
     for step in range(STEPS + 1):
         answer_signals()
         error = evaluate(problem, r, before, now)
-        stalled = error > HALF * previous_error
-        if step == STEPS or error <= least or (stalled and not reuse and error < 1e3 * least):
+        stalled = error > REUSED * previous_error
+        if step == STEPS or error <= least or (stalled and not reuse and error < RESOLVED * least):
             break
         reuse = reuse and not stalled
         previous_error, share = error, 0.0
@@ -325,91 +291,4 @@ def solve_compliances(problem, profile, r, before, least, now, system, factored)
                 break
         for a in range(m):
             w[a] += share * d[a]
-    return factored
-
-
-@inlined
-def residual_of(problem, diagonal, x, now):
-    """Fill an `Iterate` with w = M⁻¹ Jᵀ x and its u and f⁺; return the residual of Coulomb's law [m/s].
-
-    The residual is max W_aa|f⁺ − x| with r = W_aa, the `diagonal` (n,); infinite if x (n,) is not finite.
-    """
-    w, u, f, momentum, _, _ = now
-    values, columns, counts = problem.values, problem.columns, problem.counts
-    for a in range(len(w)):
-        momentum[a] = 0.0
-    add_transposed(values, columns, counts, x, momentum)
-    apply_within(problem.inverse, problem.start, momentum, w)
-    rates(values, columns, counts, w, u)
-    for a in range(len(u)):
-        u[a] += problem.free[a]
-    impulses(u, x, problem.friction, problem.lower, problem.upper, diagonal, f)
-    worst = total = 0.0
-    for a in range(len(u)):
-        part = diagonal[a] * abs(f[a] - x[a])
-        worst = max(worst, part)
-        total += part
-    return worst if math.isfinite(total) else math.inf
-
-
-@declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK, result=float)
-@external
-def solve_velocities(problem, part, accuracy, begin, w, x, course):
-    """Compute impulses that satisfy Coulomb's law, and the change of velocities by them.
-
-    Of several solutions it is nearly the limit of small compliances.
-
-    Args:
-        problem: The `VelocityProblem`.
-        part: Largest r, relative to the largest diagonal entry of W; see `tolerances.SOFTEST`.
-        accuracy: Change of velocities by f⁺ − f at the end, relative to u_free; see `tolerances.SETTLED`.
-        begin: (m,) warm start: change of the velocities; overwritten with that of the first iteration, the
-            best start for a similar problem.
-        w: (m,) is overwritten with the change of velocities.
-        x: (n,) is overwritten with the impulses.
-        course: (2, k, n) is overwritten with r and f⁺ of the first k iterations.
-
-    Returns:
-        The residual of the law relative to u_free; infinite if the iteration has diverged.
-    """
-    free = problem.free
-    n, m, size = len(free), len(w), 0.0
-    for a in range(n):
-        x[a] = 0.0
-        size = max(size, abs(free[a]))
-    if size == 0.0:
-        for a in range(m):
-            w[a] = begin[a] = 0.0
-        return 0.0
-    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(problem, *profile)
-    diagonal, r, system = np.empty(n), np.empty(n), np.empty((m, m))
-    fill_compliances(problem, part, diagonal, r)
-    f = np.empty(n)
-    now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m), np.empty(m))
-    for a in range(m):
-        now.scale[a] = 1.0 / math.sqrt(problem.mass[a, a])
-    assign(w, begin)
-    balanced, factored = 0.1 * accuracy, False
-    lowest, reached, before, slow, enough = math.inf, 1.0, math.inf, 0, QUICK
-    for iteration in range(ITERATIONS):
-        factored = solve_compliances(problem, profile, r, x, balanced, now, system, factored)
-        if iteration == 0:
-            assign(begin, w)
-        reached = 0.0
-        for a in range(n):
-            reached = max(reached, r[a] * abs(f[a] - x[a]) / size)
-        assign(x, f)
-        if iteration < course.shape[1]:
-            assign(course[0, iteration], r)
-            assign(course[1, iteration], f)
-        slow = slow + 1 if reached > HALF * lowest else 0
-        if reached <= accuracy or (slow >= PATIENCE and reached <= STALLED):
-            break
-        if reached > enough * lowest and lowest < HALF * before:
-            before, lowest, slow, enough = lowest, math.inf, 0, HALF
-            factored = False
-            for a in range(n):
-                r[a] *= FINER
-        lowest = min(lowest, reached)
-    return residual_of(problem, diagonal, x, now) / size
+    return factored, error <= RESOLVED * least

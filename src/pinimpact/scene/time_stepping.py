@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._numeric.augmented_newton import ITERATIONS
+from .._numeric.augmented_lagrangian import ITERATIONS
 from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
