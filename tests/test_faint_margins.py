@@ -416,3 +416,19 @@ def test_short_flights_do_not_depend_on_a_heavy_body_elsewhere(swing, mass):
     assert len(changes) > 10
     assert others == pytest.approx(changes, abs=1e-6)
     assert beside == pytest.approx(alone, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", [pin.JointModelRZ, pin.JointModelPX])
+@pytest.mark.parametrize("far", [1e6, 1e9, 1e15])
+def test_bounces_do_not_depend_on_the_coordinate_of_a_body_without_contact(kind, far):
+    """A shaft turned by `far` radians, and a body at `far` metres, do not round the gaps of others."""
+    model = points([1.0], [pin.JointModelPZ])
+    other = model.addJoint(0, kind(), pin.SE3.Identity(), "other")
+    model.appendBodyToJoint(other, pin.Inertia.FromSphere(1.0, 1.0), pin.SE3.Identity())
+    unbounded(model)
+    scene = Scene(model, [Contact("point0", Plane(), restitution=0.9, name="ball")])
+    trajectory = simulate(scene, [0.1, far], [0.0, 0.0], 3.0, scheme="event-driven")
+    fall, e = math.sqrt(0.2 / G), 0.9
+    times = [fall + 2.0 * fall * e * (1.0 - e**k) / (1.0 - e) for k in range(len(trajectory.impacts))]
+    assert [impact.time for impact in trajectory.impacts] == pytest.approx(times, abs=1e-9)
+    assert trajectory.q[-1, 0] == pytest.approx(0.0, abs=1e-12)

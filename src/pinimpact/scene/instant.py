@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from .._numeric.tolerances import EPS
 from ..arrays import Array, Bools, Integers
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
 from ..errors import BoundReachedWarning, IrregularMotionError
@@ -103,7 +104,7 @@ class Instant:
         self.names = [*contact_names, *limit_names]
         work = self.dynamics.work
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
-        rounding = 8.0 * np.finfo(float).eps * float(np.abs(state.q).max(initial=0.0))
+        rounding = 8.0 * EPS * float(np.abs(state.q[layout.gap_coordinates]).max(initial=0.0))
         work.gap_floor = ROUNDING * extent + rounding
         work.touching_gap = 4.0 * work.gap_floor
         work.resting_speed = 0.0 if "sustained contact" in without else resting_speed

@@ -11,7 +11,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import Array, Integers
+from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.constants import CONSTANTS
 from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
@@ -160,6 +160,22 @@ class SceneLayout:
     def velocity_joint(self) -> Integers:
         """(nv,) Joint of each velocity."""
         return np.repeat(np.arange(self._model.njoints), np.array(self._model.nvs))
+
+    @cached_property
+    def gap_coordinates(self) -> Bools:
+        """(nq,) Whether gaps of contacts or joint limits depend on each coordinate."""
+        model, ends = self._model, set[int]()
+        for contact in (*self._contacts, *self._held):
+            if contact.pair is not None:
+                ends |= {self.pairs[contact.pair].a.joint, self.pairs[contact.pair].b.joint}
+                continue
+            frames = [frame_id(model, key) for key in (contact.frame, contact.plane.body) if key is not None]
+            ends |= {model.frames[frame].parentJoint for frame in frames}
+        found = np.zeros(model.nq, dtype=np.bool_)
+        for joint in {joint for end in ends for joint in list(model.supports[end])[1:]}:
+            found[model.idx_qs[joint] : model.idx_qs[joint] + model.nqs[joint]] = True
+        found[[limit.index_q for limit in self.limits]] = True
+        return found
 
     @cached_property
     def chains(self) -> tuple[Integers, Integers]:
