@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import brentq
 
-from pinimpact import Contact, Plane, Scene, Sphere, Stepper, impact, simulate
+from pinimpact import Contact, JointPD, Plane, Scene, Shape, Sphere, Stepper, impact, simulate
 
 from .scene_models import UP, G, shaped_body, unbounded
 from .test_time_stepping import boxes
@@ -254,3 +254,34 @@ def test_disc_rolls_in_circle_by_time_stepping():
         place = [circle * np.cos(angle), circle * np.sin(angle), height]
         assert np.abs(run.q[-1][:3] - place).max() < error
         assert pin.Quaternion(run.q[-1][3:]).matrix()[2, 2] == pytest.approx(np.cos(tilt), abs=error)
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-8])
+def test_finger_that_slows_down_does_not_pull_a_box(rtol):
+    """Face contact and floor share friction in many ways, some of which last longer than others admit."""
+    model, shapes, here = pin.Model(), pin.GeometryModel(), pin.SE3.Identity()
+    for name, kind, size, mass in (
+        ("box", pin.JointModelFreeFlyer(), SIZE, 1.0),
+        ("finger", pin.JointModelPX(), (0.1, 0.04, 0.04), 0.5),
+    ):
+        place = here if name == "box" else pin.SE3(np.eye(3), np.array([-0.25, 0.0, 0.06]))
+        joint = model.addJoint(0, kind, place, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(mass, *size), here)
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(name, joint, here, coal.Box(*size)))
+    unbounded(model)
+    contacts = [
+        Contact(geometry="box", plane=Plane(), friction=MU, name="floor"),
+        Contact(geometry="finger", plane=Shape("box"), friction=0.3, name="push"),
+    ]
+    control = JointPD([0.0] * 6 + [300.0], [0.0] * 6 + [20.0], [0, 0, 0, *UP, 0.35])
+    scene = Scene(model, contacts, geometry=shapes, control=control)
+    q0, v0 = np.array([*FLAT, 0.0]), np.zeros(7)
+    located = simulate(scene, q0, v0, 0.4, rtol=rtol, atol=1e-2 * rtol)
+    labels = [contact.label for contact in scene.contacts if contact.label.startswith("push")]
+    times = np.linspace(0.0, 0.4, 401)
+    normal = np.array([located.forces(label, times)[:, 2] for label in labels])
+    weight = model.gravity.linear[2] * -1.0
+    assert normal.sum(axis=0).min() > -0.02 * weight
+    stepped = simulate(scene, q0, v0, 0.4, scheme="time-stepping", dt=1e-4)
+    assert located.q[-1] == pytest.approx(stepped.q[-1], abs=2e-3)

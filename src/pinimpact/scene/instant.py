@@ -451,7 +451,7 @@ class Instant:
             return jammed
         self.state.forces_found = converged
         same = bool((work.modes == before).all())
-        work.force_bound_ignored = constrained and same
+        work.force_bound_ignored, work.force_bound_lost = constrained and same, False
         if not same or work.driven:
             self._record_modes()
         return -1

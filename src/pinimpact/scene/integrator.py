@@ -458,6 +458,7 @@ class Integrator:
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
+        again = bounded and bool(self.work.force_bound_ignored)
         if arriving is None:
             self.instant.resolve_jam(leaving=bounded)
         self._settle_and_begin(arriving)
@@ -465,6 +466,7 @@ class Integrator:
         if bounded and self.work.force_bound_ignored:
             self.instant.set_modes_ahead(step)
             self._begin_motion()
+        self.work.force_bound_lost = again and bool(self.work.force_bound_ignored)
         self._sample()
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:

@@ -56,7 +56,7 @@ def make_admissible(work, t, out):
     If the forces last evaluated violate bounds, other forces with the same motion that do not replace them.
     """
     if work.force_margin < 0.0:
-        if not widest_margin(work, work.inner_forces) > 0.0:
+        if not widest_margin(work, work.inner_forces, True) > 0.0:
             return False
         evaluate(work, t, out)
     mode, mu, jacobian = work.active_mode, work.active_friction, work.contact_jacobian

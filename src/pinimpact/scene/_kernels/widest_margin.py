@@ -28,19 +28,18 @@ LARGEST = 1e4
 """Bound on changes of forces in the null space, relative to `largest_force`: keeps the program bounded."""
 
 
-@declared(SceneWorkspace, FLOATS)
+@declared(SceneWorkspace, FLOATS, bool)
 @external
-def widest_margin(work, found):
-    """Return the largest margin of all forces with the same motion at the state last evaluated [N]. (11.6)
+def widest_margin(work, found, keeps_motion):
+    """Return the largest margin, with `row_tolerance`, of all forces at the state last evaluated [N]. (11.6)
 
-    It includes `row_tolerance`.
-
-    If it is positive, `found` (rows,) is overwritten with the forces that have this margin.
+    With `keeps_motion` of those with the same motion. If the margin is positive, `found` (rows,) is
+    overwritten with the forces that have it.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if slips_with_friction(work):
+    if keeps_motion and slips_with_friction(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:

@@ -21,9 +21,17 @@ CONSEQUENCE = MODE_CHANGE
 
 @inlined
 def value(work, _, t):
-    """Return the force margin at the state set in the workspace [N]."""
+    """Return the force margin at the state set in the workspace [N].
+
+    While the bounds of the present forces are ignored it is that of all forces of the modes, with any motion.
+    """
     evaluate(work, t, np.empty(len(work.v) + 4))
-    return max(margin_of_forces(work, 0.0), -1e300), 0.0
+    if not work.force_bound_ignored:
+        return max(margin_of_forces(work, 0.0), -1e300), 0.0
+    margin = work.force_margin
+    if margin < 0.0:
+        margin = 1e300 if work.forces_unique else widest_margin(work, np.empty(len(work.target)), False)
+    return margin, 0.0
 
 
 @declared(SceneWorkspace, float)
@@ -36,7 +44,7 @@ def margin_of_forces(work, enough):
     """
     margin = work.force_margin
     if margin < enough and not work.forces_unique:
-        margin = widest_margin(work, work.inner_forces)
+        margin = widest_margin(work, work.inner_forces, True)
     return margin
 
 
@@ -47,7 +55,9 @@ first_fall = search_for_fall(value)
 @external
 def first(work, end):
     """Return the first time until `end` at which forces leave their bounds, or infinity; and index 0."""
-    if work.active_contacts + work.active_scalars == 0 or work.force_bound_ignored:
+    if work.active_contacts + work.active_scalars == 0:
+        return math.inf, 0
+    if work.force_bound_ignored and (work.forces_unique or work.force_bound_lost):
         return math.inf, 0
     if clear_of_zero(work.sample_times, work.sample_margins, work.samples):
         return math.inf, 0
