@@ -247,6 +247,26 @@ def test_domino_times_do_not_depend_on_numbering():
     np.testing.assert_allclose(found[0], found[1], atol=1e-3)
 
 
+def test_step_sizes_do_not_depend_on_the_coordinate_of_another_body():
+    """The tolerance of time steps is relative to the size of each coordinate, not to the largest one."""
+    steps = []
+    for far in (0.0, 1e3):
+        scene, q0, v0, _ = dominoes(6, list(range(6)))
+        model, shapes = scene.model.copy(), scene.geometry
+        joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "far")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        unbounded(model)
+        given = dict.fromkeys(contact.pair for contact in scene.contacts if contact.pair is not None)
+        floor = [
+            Contact(geometry=f"box_{k}_0", plane=FLOOR, friction=0.6, name=f"floor {k}") for k in range(6)
+        ]
+        robot = pin.RobotWrapper(model, shapes, shapes)
+        standing = Scene(robot, [*floor, *given])
+        trajectory = simulate_auto(standing, [*q0, far], [*v0, 0.0], 0.1, rtol=1e-4, atol=1e-6)
+        steps.append([(one.start, one.end, one.dt) for one in trajectory.stepped])
+    assert steps[0] == steps[1] != []
+
+
 def struck_stack(speed):
     """Return scene, initial state and sizes of a stack of five boxes and a small box flying at the top."""
     model, shapes = pin.Model(), pin.GeometryModel()

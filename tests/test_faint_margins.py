@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, Scene, simulate
+from pinimpact import Contact, InputError, Plane, Scene, simulate
 from pinimpact.scene._kernels.contact_forces import STICK
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
@@ -432,3 +432,14 @@ def test_bounces_do_not_depend_on_the_coordinate_of_a_body_without_contact(kind,
     times = [fall + 2.0 * fall * e * (1.0 - e**k) / (1.0 - e) for k in range(len(trajectory.impacts))]
     assert [impact.time for impact in trajectory.impacts] == pytest.approx(times, abs=1e-9)
     assert trajectory.q[-1, 0] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_moving_held_contact_raises_beside_a_fast_shaft(scheme):
+    model = points([1.0], [pin.JointModelPX, pin.JointModelPZ])
+    shaft = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "shaft")
+    model.appendBodyToJoint(shaft, pin.Inertia.FromSphere(1.0, 1.0), pin.SE3.Identity())
+    unbounded(model)
+    scene = Scene(model, held=[Contact("point0", Plane(), name="clamp")])
+    with pytest.raises(InputError, match=r"'clamp' moves at 0\.5 m/s"):
+        simulate(scene, np.zeros(3), [0.5, 0.0, 1e6], 0.1, scheme=scheme)

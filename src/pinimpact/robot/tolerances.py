@@ -11,7 +11,7 @@ rounding is far below, since the links of the check have well-conditioned inerti
 
 HELD_TOLERANCE = MISSED
 """Tolerance of the velocity of a held point, relative to `ContactGeometry.velocity_scale` before an impact,
-and to 1 m/s and the largest velocity at the start of a motion."""
+and to 1 m/s and the sum of its terms at the start of a motion."""
 
 SLACK = 1e-4
 """Distance [rad or m] beyond a bound without a warning, for rounded descriptions and compliant stops."""

@@ -12,6 +12,7 @@ import pinocchio as pin
 from ..arrays import Array
 from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
+from ._kernels.lie_charts import magnitudes
 from ._kernels.tolerances import FIRST_STEP
 from .effects import CROWD
 from .event_watch import EventWatch
@@ -202,11 +203,13 @@ class Alternating(TimeStepping):
         q, v, impacts = self._try(start, end, 0.5 * state.coarse)
         error, parts = math.nan, 2
         if impacts_coarse == impacts:
-            by_position = np.abs(pin.difference(self.model, q_coarse, q)).max(initial=0.0)
-            by_velocity = 0.5 * state.coarse * np.abs(v_coarse - v).max(initial=0.0)
-            error = float(max(by_position, by_velocity))
-            allowed = self.work.atol + self.work.rtol * max(self.extent, np.abs(q).max(initial=0.0))
-            wanted = 2 * math.ceil(error / allowed)
+            by_position = np.abs(pin.difference(self.model, q_coarse, q))
+            errors = np.maximum(by_position, 0.5 * state.coarse * np.abs(v_coarse - v))
+            sizes = np.empty(len(v))
+            magnitudes(self.work.joint_charts, q, sizes)
+            allowed = self.work.atol + self.work.rtol * np.maximum(self.extent, sizes)
+            error = float(errors.max(initial=0.0))
+            wanted = 2 * math.ceil((errors / allowed).max(initial=0.0))
             if 2 < wanted <= MOST_PARTS:
                 error, parts = 2.0 * error / wanted, wanted
         if self.events or parts > 2:
