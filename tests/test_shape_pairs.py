@@ -14,7 +14,18 @@ import pytest
 from scipy.optimize import brentq
 
 import pinimpact
-from pinimpact import Box, Contact, InputError, Plane, Scene, Shape, SimulationError, Sphere, UnknownNameError
+from pinimpact import (
+    Box,
+    Contact,
+    InputError,
+    Plane,
+    Scene,
+    Shape,
+    SimulationError,
+    Sphere,
+    UnknownNameError,
+    simulate,
+)
 from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import hull
 from pinimpact.robot.shape_pair import shape_pair
@@ -22,7 +33,7 @@ from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 from pinimpact.scene.pairs_apart import PairsApart
 
-from .scene_models import G, run, shaped_body
+from .scene_models import UP, G, run, shaped_body, unbounded
 
 BLOCK = Box(size=(1.0, 1.0, 1.0), name="block")
 
@@ -451,3 +462,33 @@ def test_coefficients_of_contacts_can_be_replaced():
     assert np.array_equal(ends[0], ends[1])
     assert np.array_equal(slopes[0], slopes[1])
     assert not np.allclose(ends[0], ends[2])
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_box_that_slides_over_an_edge_does_not_depend_on_a_fast_shaft(turn):
+    """The features in contact change with the motion of the two boxes, whatever moves elsewhere."""
+    found = []
+    for spin in (0.0, 1e3, 1e6):
+        model, shapes = pin.Model(), pin.GeometryModel()
+        for name, width in (("a", 0.3), ("b", 0.1)):
+            joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+            inertia = pin.Inertia.FromBox(1.0, width, width, 0.1)
+            model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+            model.addJointFrame(joint)
+            box = coal.Box(width, width, 0.1)
+            shapes.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3.Identity(), box))
+        shaft = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "shaft")
+        model.appendBodyToJoint(shaft, pin.Inertia.FromSphere(1.0, 1.0), pin.SE3.Identity())
+        unbounded(model)
+        contacts = [
+            Contact(geometry="a", plane=Plane(), friction=0.9),
+            Contact(geometry="b", plane=Shape("a"), friction=0.2),
+        ]
+        q0 = np.array([0, 0, 0.05, *UP, 0, 0.02, 0.15, 0, 0, np.sin(0.5 * turn), np.cos(0.5 * turn), 0])
+        v0 = np.zeros(13)
+        v0[[6, 11, 12]] = 1.2, 1.0, spin
+        scene = Scene(pin.RobotWrapper(model, shapes), contacts)
+        found.append(simulate(scene, q0, v0, 0.3, scheme="event-driven").q[-1, :14])
+    assert found[0][9] < 0.12  # it has tipped over the edge
+    assert found[1] == pytest.approx(found[0], abs=1e-9)
+    assert found[2] == pytest.approx(found[0], abs=1e-9)

@@ -264,12 +264,21 @@ class ShapeWatch(TouchingPoints):
             worst = max(worst, abs(float((now.touch.point - now.touch.other) @ now.normal) - radius))
         return max(self.tolerance, worst)
 
+    def _relative_speed(self, watched: Watched, q: Array, v: Array) -> float:
+        """Return a bound of the speeds of points of one shape relative to the other [m/s]."""
+        pair, data = watched.pair, self._data
+        forward_kinematics(self._model, data, q, v)
+        one, other = (data.oMi[joint].act(data.v[joint]) for joint in (pair.a.joint, pair.b.joint))
+        motion, center = one - other, pair.placed(data)[0].vertices.mean(axis=0)
+        linear = motion.linear + np.cross(motion.angular, center)
+        return float(np.linalg.norm(linear) + watched.size * np.linalg.norm(motion.angular))
+
     def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
         """Remove points that leave their faces and edges, and add those in contact slightly later.
 
         Return the numbers of the contacts whose gap closes.
         """
-        speed = float(np.abs(v).max()) * (1.0 + watched.size)
+        speed = self._relative_speed(watched, q, v)
         ahead = CLOSE * watched.size / speed if speed > 0.0 else 0.0
         later, _ = step.at(t + min(ahead, 0.1 * step.h))
         self._set(later)
