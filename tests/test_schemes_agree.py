@@ -285,3 +285,24 @@ def test_finger_that_slows_down_does_not_pull_a_box(rtol):
     assert normal.sum(axis=0).min() > -0.02 * weight
     stepped = simulate(scene, q0, v0, 0.4, scheme="time-stepping", dt=1e-4)
     assert located.q[-1] == pytest.approx(stepped.q[-1], abs=2e-3)
+
+
+def test_boxes_that_slide_side_by_side_share_their_load_as_in_time_steps():
+    """They rub on a slope with different friction and on each other, everywhere at the bound of friction."""
+    axes = pin.exp3(0.55 * np.array([1.0, 2.0, 0.0]) / np.sqrt(5.0)) @ pin.exp3(np.array([0.0, 0.0, 0.7]))
+    slope_plane, scene = Plane(normal=tuple(axes[:, 2])), boxes(2, SIZE, 1.0)
+    contacts = [
+        Contact(geometry=f"box_{k}_0", plane=slope_plane, friction=mu, name=f"floor {k}")
+        for k, mu in enumerate((0.5, 0.1))
+    ]
+    contacts.append(Contact(geometry="box_1_0", plane=Shape("box_0_0"), friction=0.3, name="pair"))
+    scene = dataclasses.replace(scene, contacts=contacts)
+    turn, q0 = pin.Quaternion(axes).coeffs(), []
+    for place in ([0.0, 0.0, 0.05], [0.0, 0.2, 0.05]):
+        q0 += [*(axes @ place), *turn]
+    located = simulate(scene, q0, np.zeros(12), 0.3)
+    stepped = simulate(scene, q0, np.zeros(12), 0.3, scheme="time-stepping", dt=1e-3)
+    assert located.q[-1] == pytest.approx(stepped.q[-1], abs=3.5e-5)  # of 0.11 m
+    for label in [contact.label for contact in scene.contacts if contact.label.startswith("floor")]:
+        for t in (0.0505, 0.1505, 0.2505):
+            assert located.forces(label, t) == pytest.approx(stepped.forces(label, t), abs=0.1)

@@ -39,6 +39,7 @@ class ClosedSet(NamedTuple):
         known: Forces at the start of the motion; the solution nearest to them is used. Empty: none.
         joints: (k, 2) joints of the tip and of the surface of the active contacts.
         swapped: Contacts whose forces act on the second shape of their pair, not on the first.
+        renewed: Whether it continues the set before it, with another distribution of forces.
     """
 
     modes: Integers
@@ -52,6 +53,13 @@ class ClosedSet(NamedTuple):
     known: Array
     joints: Integers
     swapped: Integers
+    renewed: bool = False
+
+    def continues(self, before: ClosedSet | None) -> bool:
+        """Return whether this is the set `before`, or differs from it by its distribution of forces only."""
+        if self is before:
+            return True
+        return self.renewed and before is not None and np.array_equal(self.modes, before.modes)
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:

@@ -360,15 +360,19 @@ class Integrator:
         if work.force_bound_ignored and work.end_margin >= 0.0:
             work.force_bound_ignored = False
         state.bounce = math.inf
+        kept = state.closed is not None and bool(state.closed.known.any())  # its distribution depends on time
         if self.dynamics.constrained and (
-            work.drift_at_end > self.drift_tolerance or work.force_bound_ignored
+            work.drift_at_end > self.drift_tolerance or work.force_bound_ignored or kept
         ):
             if work.force_bound_ignored:
                 self._note_violated_bounds(-work.end_margin)
+            if work.force_bound_ignored or kept:
                 self._settle()
             else:
                 self.instant.correct_constraint_drift()
             self._begin_motion()
+            if kept and state.closed is not None:
+                state.closed = state.closed._replace(renewed=True)
         self._sample()
 
     def _note_violated_bounds(self, excess: float) -> None:

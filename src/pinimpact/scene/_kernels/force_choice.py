@@ -27,12 +27,22 @@ def choose_forces(work, t, out):
     """Choose the forces at the start of a motion, just evaluated; `out` as in `dynamics.evaluate`."""
     if work.forces_unique:
         return
-    if make_admissible(work, t, out) or not slips_with_friction(work):
+    if not slips_with_friction(work):
+        make_admissible(work, t, out)
+        return
+    if work.force_margin >= 0.0 and opposes_slip(work, out):
         return
     use_found_forces(work)
     evaluate(work, t, out)
-    if make_admissible(work, t, out):
+    if work.force_margin >= -doubtful_margin(work) and opposes_slip(work, out):
         return
+    for found in range(2):
+        filled(work.inner_forces, 0.0)
+        if found == 1:
+            use_found_forces(work)
+        evaluate(work, t, out)
+        if make_admissible(work, t, out) and opposes_slip(work, out):
+            return
     filled(work.inner_forces, 0.0)
     evaluate(work, t, out)
 
@@ -51,14 +61,17 @@ def doubtful_margin(work):
 
 @inlined
 def make_admissible(work, t, out):
-    """Return whether the forces satisfy their bounds and every incipient slip is opposed by its friction.
-
-    If the forces last evaluated violate bounds, other forces with the same motion that do not replace them.
-    """
+    """Replace forces that violate bounds by others with the same motion; return whether there are any."""
     if work.force_margin < 0.0:
         if not widest_margin(work, work.inner_forces, True) > 0.0:
             return False
         evaluate(work, t, out)
+    return True
+
+
+@inlined
+def opposes_slip(work, out):
+    """Return whether every incipient slip is opposed by its friction, at the accelerations `out`."""
     mode, mu, jacobian = work.active_mode, work.active_friction, work.contact_jacobian
     velocity, reference, free = work.contact_velocity, work.slip_reference, work.contact_acceleration
     acceleration = work.acceleration

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...._compile.declared import declared
 from ...._compile.jit import external, inlined, jit
+from ..contact_forces import slips_with_friction
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
@@ -39,11 +40,13 @@ def value(work, _, t):
 def margin_of_forces(work, enough):
     """Return the force margin (11.6) at the state last evaluated, with `row_tolerance` [N].
 
-    If that of the present forces is below `enough`, it is maximized over all forces with the same motion, and
-    the maximizing forces are stored in `inner_forces`.
+    If that of the present forces is below `enough`, it is maximized over all forces with the same motion. If
+    no contact slips, the maximizing forces are stored in `inner_forces`; else the motion would depend on it.
     """
     margin = work.force_margin
     if margin < enough and not work.forces_unique:
+        if slips_with_friction(work):
+            return widest_margin(work, np.empty(len(work.target)), True)
         margin = widest_margin(work, work.inner_forces, True)
     return margin
 
