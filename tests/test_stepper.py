@@ -470,3 +470,15 @@ def test_order_of_explicit_methods(method, order, length):
 def test_steps_of_any_length_satisfy_tolerance(swing, steps, rtol):
     ends, within, _ = swing(steps, rtol)
     assert max(ends, within) < 30.0 * rtol
+
+
+def test_time_steps_end_where_times_have_few_digits():
+    """At 10¹² s times are multiples of 1.2e-4 s, and a bounce is located no better than that."""
+    scene = Scene(slider(), [Contact("point", Plane(), restitution=0.8)])
+    stepper = Stepper(scene, np.zeros(3), np.zeros(3), scheme="time-stepping")
+    stepper.step(np.zeros(3), 1e12)
+    stepper.step([0.0, 0.0, 20.0], 0.1)
+    stepper.step(np.zeros(3), 0.5)
+    assert stepper.t == pytest.approx(1e12 + 0.6, abs=1e-3)
+    assert stepper.trajectory.impacts
+    assert stepper.q[2] > -1e-9

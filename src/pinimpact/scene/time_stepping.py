@@ -167,7 +167,7 @@ class TimeStepping(Integrator):
         """
         state, before = self.state, (self.state.pushed, self.state.step_before)
         middle, v = displaced(self.work.joint_charts, state.q, state.v, 0.5 * h * state.v)
-        may_be_halved = h > STEPS_SHORTEST * self._dt
+        may_be_halved = h > max(STEPS_SHORTEST * self._dt, 4.0 * math.ulp(state.t))
         if may_be_halved and self._faces.may_pass(middle, v, h):
             return PASSED
         if h > LONGER * state.step_before:
