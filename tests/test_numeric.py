@@ -153,8 +153,7 @@ def test_row_order_of_non_finite_matrix_is_valid(place):
     """Right-hand sides are permuted by it, so invalid indices would write out of bounds."""
     matrix, order = np.eye(3), np.full(3, 10**6)
     matrix[place] = np.nan
-    regular = solve_factored(matrix, np.ones((2, 3)), order)
-    assert not regular or not np.isfinite(matrix).all()
+    solve_factored(matrix, np.ones((2, 3)), order)
     assert (order >= np.arange(3)).all()
     assert (order < 3).all()
 
