@@ -752,3 +752,25 @@ def test_fast_spin_does_not_affect_accuracy_of_flight_and_rolling(spin):
     np.testing.assert_allclose(rolling.q[-1, :3], [speed * t, 0, radius], atol=1e-8)
     for run in (flight, rolling):
         assert np.abs(run.energy.residual).max() < 1e-10 * max(run.energy.kinetic.max(), 1e-3)
+
+
+@pytest.mark.parametrize("speed", [1.0, 100.0, 1000.0])
+def test_slow_ball_does_not_bounce_early_beside_a_fast_one(speed):
+    """Contacts collide together if they would close within a hundredth of a step, each at its own speed."""
+    model, contacts, e = pin.Model(), [], 0.5
+    for k in range(3):
+        joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), f"z{k}")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"ball{k}", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        contacts.append(Contact(f"ball{k}", FLOOR, restitution=e, name=f"ball{k}"))
+    unbounded(model)
+    # a fast ball and a slow one arrive in the first step, another slow one 4 mm later
+    heights, speeds = np.array([0.9998e-3 * speed, 8e-4, 5e-3]), np.array([speed, 1.0, 1.0])
+    run_ = simulate(Scene(model, contacts), heights, -speeds, 8e-3, scheme="time-stepping")
+    falls = (np.sqrt(speeds**2 + 2.0 * 9.81 * heights) - speeds) / 9.81
+    after = e * (speeds + 9.81 * falls)
+    rest = 8e-3 - falls
+    assert {impact.source: impact.time for impact in run_.impacts} == pytest.approx(
+        {f"ball{k}": falls[k] for k in range(3)}, abs=1e-9
+    )
+    assert run_.q[-1] == pytest.approx(after * rest - 0.5 * 9.81 * rest**2, abs=1e-9)

@@ -103,7 +103,6 @@ class Instant:
         limit_names = [limit.name for limit in limits]
         self.names = [*contact_names, *limit_names]
         work = self.dynamics.work
-        gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
         rounding = 8.0 * EPS * float(np.abs(state.q[layout.gap_coordinates]).max(initial=0.0))
         work.gap_floor = ROUNDING * extent + rounding
         work.touching_gap = 4.0 * work.gap_floor
@@ -119,7 +118,7 @@ class Instant:
         self.record = Recorder(model, data, ModeIntervals(model, contact_names, limit_names))
         if starts:
             self._impacts.compile_kernels(state.q)
-            left = partial(left_by_steps, dt, extent, gravity)
+            left = partial(left_by_steps, dt, extent, max(work.gravity, STANDARD_GRAVITY))
             check_start(model, data, self.dynamics, state, self.names, extent, left)
             if self.shapes:
                 self.shapes.start(state.q, state.v, START_ROUNDING, left)
@@ -197,38 +196,42 @@ class Instant:
         if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies are active at once")
 
-    def collide(self, touching: float, slowest: float, unresolved: float, pressed: Bools | bool) -> None:
+    def collide(self, touching: float, soon: float, slowest: float, error: float, pressed: Any) -> None:
         """Resolve the impacts at the end of a time step.
 
         Contacts that separate take no part in the impacts of others, unless they have an impulse in the step
         that ends here: the velocities of active contacts vanish only at the ends of steps.
 
         Args:
-            touching: Largest gap of a contact that takes part [m].
-            slowest: Speed of approach above which a contact collides [m/s].
-            unresolved: Error of velocities that is acceptable [m/s], see `SceneImpacts.unresolved`.
+            touching: See `approach`.
+            soon: See `approach`.
+            slowest: Speed of approach above which a contact collides [m/s], or the resting speed.
+            error: Error of velocities that is acceptable [m/s], see `SceneImpacts.unresolved`.
             pressed: (n + nl,) whether each contact or limit has an impulse in that step; False: none has.
         """
-        self._hit[:] = False
-        self._impacts.unresolved = unresolved
+        self._hit[:], self._impacts.unresolved = False, error
         resolved: list[dict[str, Any]] = []
         parting: Array | None = None
+        near: Any = False
         while self.names:
-            rates = self.approach(self.state.q, self.state.v, touching)
-            i = int(np.argmin(rates))
-            if rates[i] >= -slowest:
+            rates = self.approach(self.state.q, self.state.v, touching, soon, near)
+            i, near = int(np.argmin(rates)), np.isfinite(rates)
+            if rates[i] >= -max(slowest, self.dynamics.work.resting_speed):
                 break
-            if parting is None:
+            if parting is None:  # gaps of active contacts vanish only at the ends of steps, too
+                wide = self.approach(self.state.q, self.state.v, max(touching, -soon * float(rates[i])))
+                rates = np.minimum(rates, np.where(pressed, wide, math.inf))
+                near = np.isfinite(rates)
                 parting = np.maximum(self.dynamics.work.resting_speed, np.where(pressed, rates, 0.0))
-            self._where[:] = np.where((rates <= parting) & np.isfinite(rates), ARRIVING, APART)
-            self.rims.check(self._where, touching)
+            self._where[:] = np.where((rates <= parting) & near, ARRIVING, APART)
+            self.rims.check(self._where, max(touching, -soon * float(rates[i])))
             resolved += self._strike(i, -float(rates[i]), resolved)
         self._keep(resolved)
 
-    def approach(self, q: Array, v: Array, touching: float) -> Array:
-        """Return the gap rates (n + nl,) [m/s] where the gap is at most `touching` [m], else infinity."""
+    def approach(self, q: Array, v: Array, touching: float, soon: float = 0.0, near: Any = False) -> Array:
+        """Return gap rates (n + nl,), infinite unless `near`, up to `touching` [m], or closed in `soon`."""
         gaps, rates = self.dynamics.gaps_at(q, v).T
-        near = gaps <= touching
+        near = near | (gaps <= np.maximum(touching, -soon * rates))
         near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
         return np.where(near, rates, math.inf)
 

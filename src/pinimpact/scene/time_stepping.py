@@ -184,11 +184,11 @@ class TimeStepping(Integrator):
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
         closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
-        slowest = within = 0.0
         if closing.any():
-            rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
-            slowest, within = 0.5 * float(rates.min()), STEPS_TOGETHER * h * float(rates.max())
-            if may_be_halved and not self._collides_at(*step.at(step.end), slowest, within):
+            rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals]
+            slowest, fastest = 0.5 * float(rates[closing].min()), float(rates[closing].max())
+            soon = STEPS_TOGETHER * h
+            if may_be_halved and not self._collides_at(*step.at(step.end), slowest, soon, fastest):
                 state.pushed, state.step_before = before
                 return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
@@ -206,11 +206,12 @@ class TimeStepping(Integrator):
         if closing.any():
             self._sample()
             if step.taken is not None:
-                touches = closing & (found.gaps_at(share, h, rows) <= within)
+                gaps = found.gaps_at(share, h, rows)
+                touches = closing & (gaps <= np.maximum(self._touching, soon * rates))
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
             pressed = np.zeros(len(self._near), dtype=bool)
             pressed[rows.near(self.work.contacts)] = found.impulse[rows.normals] > 0.0
-            self._collide(slowest, within, step.taken, pressed)
+            self._collide(slowest, soon, fastest, step.taken, pressed)
             return CUT
         active, moved = ~found.arrives, self._no_change
         if overlap > max(self._touching, self._closable_overlap(h, found)):
@@ -465,17 +466,17 @@ class TimeStepping(Integrator):
 
     # ---- impacts
 
-    def _collides_at(self, q: Array, v: Array, slowest: float, within: float) -> bool:
+    def _collides_at(self, q: Array, v: Array, slowest: float, soon: float, fastest: float) -> bool:
         """Return whether any contact or limit collides in a state; see `_collide` for the arguments."""
-        touching = max(self._touching, within)
-        self._faces.place(q, v, 0.0, touching=touching)
-        rates = self.instant.approach(q, v, touching)
+        self._faces.place(q, v, 0.0, touching=max(self._touching, soon * fastest))
+        rates = self.instant.approach(q, v, self._touching, soon)
         return bool((rates < -max(self.work.resting_speed, slowest)).any())
 
     def _collide(
         self,
         slowest: float = 0.0,
-        within: float = 0.0,
+        soon: float = 0.0,
+        fastest: float = 0.0,
         taken: StepTaken | None = None,
         pressed: NDArray[np.bool_] | bool = False,
     ) -> None:
@@ -483,17 +484,16 @@ class TimeStepping(Integrator):
 
         Args:
             slowest: Speed of approach above which a contact collides [m/s], at least the resting speed.
-            within: Largest gap of a touching contact [m], at least the tolerance of touching.
+            soon: Time within which contacts that touch close [s].
+            fastest: Their largest speed of approach [m/s].
             taken: Data of the step that ends here, if it is to be differentiated.
             pressed: See `Instant.collide`.
         """
-        state, touching = self.state, max(self._touching, within)
-        before = len(self.record.impacts)
-        self._faces.place(state.q, state.v, 0.0, touching=touching)
+        state, before = self.state, len(self.record.impacts)
+        self._faces.place(state.q, state.v, 0.0, touching=max(self._touching, soon * fastest))
         if taken is not None:
             taken.struck = self._faces.corners()
-        slowest = max(self.work.resting_speed, slowest)
-        self.instant.collide(touching, slowest, self._dt * self._gravity, pressed)
+        self.instant.collide(self._touching, soon, slowest, self._dt * self._gravity, pressed)
         if len(self.record.impacts) > before:
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)
