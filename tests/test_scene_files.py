@@ -220,7 +220,7 @@ WRONG = {
     "no radius": (
         ("[plane.belt]", "[sphere.post]\n[plane.belt]"),
         pinimpact.InputError,
-        r"sphere\.post\.radius: .* required key missing",
+        r"sphere\.post\.radius: required key missing",
     ),
     "unknown frame": (('frame = "ball"', 'frame = "bal"'), pinimpact.UnknownNameError, "'bal'.*'ball'"),
     "unknown law": (
@@ -259,8 +259,38 @@ WRONG = {
         pinimpact.InputError,
         r"plane\.belt\.velocity: \[2, 0\] given.*more numbers",
     ),
+    "four numbers": (
+        ("velocity = [2, 0, 0]", "velocity = [2, 0, 0, 0]"),
+        pinimpact.InputError,
+        r"plane\.belt\.velocity: .* given in .*; 3 numbers expected",
+    ),
+    "number for list": (
+        ("velocity = [2, 0, 0]", "velocity = 2"),
+        pinimpact.InputError,
+        r"plane\.belt\.velocity: 2 given in .*; a list of numbers expected",
+    ),
+    "fraction for frame": (
+        ('frame = "ball"', "frame = 1.5"),
+        pinimpact.InputError,
+        r"contact\[0\]\.frame: 1.5 given in .*; text or a whole number expected",
+    ),
+    "text for flag": (
+        ("free_flyer = true", 'free_flyer = "yes"'),
+        pinimpact.InputError,
+        r"robot\[0\]\.free_flyer: 'yes' given in .*; true or false expected",
+    ),
+    "no space before unit": (
+        ('"5 cm"', '"5cm"'),
+        pinimpact.InputError,
+        r"contact\[0\]\.radius: '5cm' given in .* is not a length; write .*'1 m'",
+    ),
     "no duration": (("duration = 1.5", ""), pinimpact.InputError, "duration.*required key missing"),
-    "negative time": (("duration = 1.5", "duration = -1"), pinimpact.InputError, "duration: -1"),
+    "required key misspelt": (
+        ("duration =", "durations ="),
+        pinimpact.UnknownNameError,
+        "durations: unknown key in .*'duration'",
+    ),
+    "negative time": (("duration = 1.5", "duration = -1"), pinimpact.InputError, "duration: -1.*above 0"),
     "no TOML": (("duration =", "duration"), pinimpact.InputError, "is not TOML"),
     "no robot": (("urdf =", "# urdf ="), pinimpact.InputError, r"robot\[0\]: give either"),
     "fixed base moves": (

@@ -336,12 +336,37 @@ def _table_of(key: str) -> type[Table] | None:
     return kinds[0] if kinds else None
 
 
+EXPECTED = {
+    "bool_type": "true or false",
+    "dict_type": "a table",
+    "float_type": "a number",
+    "greater_than": "a number above {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "int_from_float": "a whole number",
+    "int_type": "a whole number",
+    "list_type": "a list",
+    "model_type": "a table",
+    "string_type": "text",
+    "too_long": "{max_length} numbers",
+    "tuple_type": "a list of numbers",
+}
+"""What a key expects, by the type of pydantic's error."""
+
+
 def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> PinimpactError:
     """Return pydantic's first error as an `InputError` that names the key."""
     complaints = error.errors()
     # a table instead of a list of tables causes further errors about missing keys
     complaint = next((one for one in complaints if one["type"] == "list_type"), complaints[0])
     place = complaint["loc"]
+    if complaint["type"] == "missing":  # perhaps misspelt: the unknown key beside it says more
+        unknown = (one for one in complaints if one["type"] == "extra_forbidden")
+        complaint = next((one for one in unknown if one["loc"][:-1] == place[:-1]), complaint)
+        place = complaint["loc"]
+    kinds = [complaint["type"]]
+    if str(place[-1]).partition("[")[0] in {"str", "int", "float", "list"}:  # one of several types
+        place = place[:-1]
+        kinds = [one["type"] for one in complaints if one["loc"][:-1] == place]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if complaint["type"] == "extra_forbidden":
         table = (_table_of(str(place[0])) if len(place) > 1 else None) or kind
@@ -361,8 +386,14 @@ def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> Pinim
             f"{key}: {given} given in {path.name}; more numbers expected", value=complaint["input"]
         )
     if complaint["type"] == "missing":
-        return InputError(f"{key}: {path.name}: required key missing")
+        return InputError(f"{key}: required key missing in {path.name}")
     message = complaint["msg"].removeprefix("Value error, ")
-    return InputError(
-        f"{key}: {in_short(complaint['input'])} given in {path.name}; {message}", value=complaint["input"]
-    )
+    if EXPECTED.keys() >= set(kinds):
+        expected = " or ".join(dict.fromkeys(EXPECTED[one] for one in kinds))
+        message = expected.format(**complaint.get("ctx", {})) + " expected"
+    given, (repeated, _, rest) = in_short(complaint["input"]), message.partition(" is not ")
+    if rest and repeated == repr(complaint["input"]):
+        text = f"{key}: {given} given in {path.name} is not {rest}"
+    else:
+        text = f"{key}: {given} given in {path.name}; {message}"
+    return InputError(text, value=complaint["input"])

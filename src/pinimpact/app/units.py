@@ -19,19 +19,20 @@ UNITS: dict[str, dict[str, float]] = {
 def quantity(value: Any, kind: str) -> float:
     """Return a quantity of a kind in SI units, or raise `ValueError`: not finite, or of another unit."""
     units = UNITS[kind]
-    number, unit = value, next(iter(units))
+    base = next(iter(units))
+    number, unit = value, base
     what = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
     if isinstance(value, str):
         number, _, unit = value.strip().partition(" ")
         unit = unit.strip()
-    if isinstance(number, bool) or unit not in units:
+    if isinstance(number, bool) or (unit and unit not in units):
         raise ValueError(f"{value!r} is not {what}; its units are {', '.join(units)}")
     try:
         found = float(number) * units[unit]
-    except (TypeError, ValueError, OverflowError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         found = math.nan
     if not math.isfinite(found):
         raise ValueError(
-            f"{value!r} is not {what}; write a number of {next(iter(units))}, or text such as '1 {unit}'"
+            f"{value!r} is not {what}; write a number of {base}, or text such as '1 {unit or base}'"
         )
     return found
