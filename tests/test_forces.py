@@ -209,6 +209,9 @@ def test_invalid_requests_of_forces_raise():
     trajectory = simulate(scene, np.zeros(3), np.zeros(3), 0.1)
     with pytest.raises(pinimpact.UnknownNameError, match=r"no contact is called 'fot'.*'foot'"):
         trajectory.forces("fot", 0.0)
+    free = simulate(Scene(slider()), np.zeros(3), np.zeros(3), 0.1)
+    with pytest.raises(pinimpact.UnknownNameError, match="no contact is called 'foot'; there are none"):
+        free.forces("foot", 0.0)
     bounded = slider()
     bounded.lowerPositionLimit[2], bounded.upperPositionLimit[2] = 0.0, 1.0
     held = simulate(Scene(bounded, []), np.zeros(3), np.zeros(3), 0.1)

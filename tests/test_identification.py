@@ -308,6 +308,7 @@ def test_figure_has_axes_for_each_parameter() -> None:
         ({"found": np.zeros((5, 3))}, InputError, r"\(delassus, v_before, v_after\)"),
         ({"found": (np.zeros((5, 3, 3)), np.zeros((5, 3)), np.zeros((4, 3)))}, InputError, "shapes"),
         ({"found": (np.zeros((5, 3, 3)), -np.ones((5, 3)), np.ones((5, 3)))}, InputError, "impact 0 has no"),
+        ({"found": (np.zeros((5, 6)), np.zeros((5, 6)), np.zeros((5, 6)))}, InputError, "give the scene"),
     ],
 )
 def test_bad_input_is_named(change: dict, error: type, message: str) -> None:

@@ -221,5 +221,7 @@ def near_matches(given: Any, names: Iterable[str]) -> str:
     close += [known for known in names if name and name.lower() in known.lower() and known not in close][:5]
     if close:
         return "did you mean " + ", ".join(map(repr, close[:5])) + "?"
+    if not names:
+        return "there are none"
     shown = ", ".join(map(repr, names[:8])) + (", …" if len(names) > 8 else "")
     return f"the names are {shown}"

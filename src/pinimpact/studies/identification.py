@@ -278,6 +278,12 @@ def _of_arrays(
         )
     W, before, after = arrays_of(found, "(delassus, v_before, v_after) without a scene")
     count = len(before)
+    if W.ndim == 2:
+        raise InputError(
+            f"found: a first array of shape {W.shape} given; without a scene it is the Delassus matrices, "
+            f"({count}, 3, 3); for (q, v_before, v_after) give the scene",
+            value=found,
+        )
     W = finite_array("delassus", W, (count, 3, 3))
     before, after = finite_array("v_before", before, (count, 3)), finite_array("v_after", after, (count, 3))
     coefficients = np.zeros((2, count))
