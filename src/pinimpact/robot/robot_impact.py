@@ -121,10 +121,10 @@ class Hit:
     ) -> Array:
         """Return the impulsive wrench through each joint, (joints, 6) force [N s] over moment [N m s].
 
-        Row i is what the link before joint i exerts on the one after it, at the joint and in its axes; row 0
-        is what the robot exerts on the world at its origin, beside contacts, in world axes. Along an axis
-        that a joint is free to move a wrench has only what accelerates a rotor, and the impulse −k Δq̇ of the
-        control that stiffens the joint (1.6).
+        Row i is the wrench that the link before joint i exerts on the link after it, at the joint and in its
+        axes. Row 0 is the wrench that the robot exerts on the world other than at contacts, at the origin
+        and in world axes. About or along the axis of a joint the wrench is zero, except for the impulse that
+        accelerates a rotor and the impulse −k Δq̇ of the control that stiffens the joint (1.6).
 
         Args:
             model: That of the impact.
