@@ -462,3 +462,9 @@ def test_unknown_method_and_option(rng):
         pinimpact.impact(*state, method="magic")
     with pytest.raises(pinimpact.UnknownNameError, match="steps"):
         pinimpact.impact(*state, steps=3)
+    with pytest.raises(pinimpact.UnknownNameError, match="lockd: unknown option; did you mean 'locked'"):
+        pinimpact.impact(*state, lockd=["tip"])
+    with pytest.raises(pinimpact.UnknownNameError, match=r"friction: .*an argument of Contact"):
+        pinimpact.impact(*state, friction=0.3)
+    with pytest.raises(pinimpact.UnknownNameError, match=r"friction: .*an argument of Contact"):
+        pinimpact.impact(*state[:4], [state[4]], friction=0.3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any, overload
 
 import numpy as np
@@ -14,12 +15,13 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..checks import finite_array, float_array, real_numbers
 from ..contact_space.inputs import FACTOR, NO_FACTOR, triangle_of
+from ..contact_space.methods import METHODS
 from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
 from ..display import html_table, in_a_line
-from ..errors import InputError
+from ..errors import InputError, UnknownNameError
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, Contacts, check_contact, check_held, is_pair
@@ -275,6 +277,22 @@ def _refuse_or_warn(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array
     solve_inputs(hit._inputs())
 
 
+ARGUMENTS = "held", "locked", "method", "record", "simultaneous", "stiffening"
+"""Arguments of `impact` that misspelt options are compared with."""
+
+
+def _check_options(asked: ImpactOptions) -> None:
+    """Raise `UnknownNameError` for arguments of `Contact`, and for misspelt ones of `impact`."""
+    method = METHODS.get(asked.method)
+    for name, value in asked.more.items():
+        if method is not None and name in method.options:
+            continue
+        if name in ("friction", "restitution", "law", "stiffness"):
+            raise UnknownNameError(f"{name}: unknown option; it is an argument of Contact", value=value)
+        if close := get_close_matches(name, ARGUMENTS, n=1, cutoff=0.7):
+            raise UnknownNameError(f"{name}: unknown option; did you mean {close[0]!r}?", value=value)
+
+
 def _general_impact(
     robot: Any,
     model: pin.Model,
@@ -285,6 +303,7 @@ def _general_impact(
     asked: ImpactOptions,
 ) -> Hit | ManyHit:
     """Compute the impact at several contacts, of a collision shape, or with options that the kernel lacks."""
+    _check_options(asked)
     if isinstance(contact, Sequence) and not isinstance(contact, str):
         points = [point for one in contact for point in _points(robot, data, q, one)]
         return impact_at_many(model, data, q, v, points, asked)
