@@ -269,8 +269,8 @@ def run_ensemble(
     """Simulate a scene many times, with parameters drawn from distributions.
 
     STUDY is the path of a study file. Prints medians, quantiles and frequencies, and writes the samples as
-    Parquet files, chunk by chunk, and a page with the summary and plots. After Ctrl-C or a crash, --resume
-    continues.
+    Parquet files, chunk by chunk, and a page with the summary and plots. It needs pinimpact[data]. After
+    Ctrl-C or a crash, --resume continues.
     """
     from .study_file import load_study
 
