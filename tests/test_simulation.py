@@ -25,6 +25,26 @@ def sphere(**options):
     return Contact("center", FLOOR, radius=0.1, name="ball", **options)
 
 
+@pytest.mark.parametrize("stiff", [False, True])
+def test_motion_is_as_accurate_among_bodies_at_rest(stiff):
+    """The same steps are taken, explicit ones or, with strong damping, implicit ones."""
+    ends, steps = [], []
+    for others in (0, 1, 40):
+        model = pendulum()
+        for k in range(others):
+            index = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), f"rest {k}")
+            model.appendBodyToJoint(index, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        unbounded(model)
+        model.damping[0] = 1e4 * stiff
+        q, v = np.zeros((2, model.nv))
+        q[0], v[0] = 2.5, 1e4 * stiff
+        motion = simulate(Scene(model, []), q, v, 5.0, rtol=1e-6)
+        ends.append(motion.q[-1][0])
+        steps.append(motion.statistics["steps"])
+    assert steps[0] == steps[1] == steps[2] > 3
+    np.testing.assert_allclose(ends, ends[0], rtol=1e-10)
+
+
 def test_bouncing_ball_agrees_with_closed_form_up_to_zeno_time():
     e, height = 0.5, 1.0
     scene = Scene(ball(), [sphere(restitution=e)], resting_speed=1e-5)

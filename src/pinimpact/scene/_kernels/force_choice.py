@@ -63,7 +63,7 @@ def doubtful_margin(work):
 def make_admissible(work, t, out):
     """Replace forces that violate bounds by others with the same motion; return whether there are any."""
     if work.force_margin < 0.0:
-        if not widest_margin(work, work.inner_forces, True) > 0.0:
+        if not widest_margin(work, work.inner_forces) > 0.0:
             return False
         evaluate(work, t, out)
     return True

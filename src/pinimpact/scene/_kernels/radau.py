@@ -19,6 +19,7 @@ from .dynamics import evaluate, set_state
 from .lie_charts import advance, chart_rate, diverged, magnitudes, turned_too_far
 from .samples import record_sample
 from .tolerances import ITERATED
+from .trees import end_of_tree
 
 STAGES = 5
 
@@ -124,14 +125,19 @@ def start_error(rates, h, error):
 
 @inlined
 def reach_end(work, h, error, scale):
-    """Fill the state at the end of the step; return the error relative to the tolerance."""
+    """Fill the state at the end of the step; return the largest error of a tree relative to the tolerance."""
     advance_to(work, STAGES - 1, h, work.v1)
     advance(work.joint_charts, work.q0, work.xi, work.q1)
-    norm = 0.0
-    for m in range(len(error)):
-        norm += (error[m] * scale[m]) ** 2
-    norm = math.sqrt(norm / len(error))
-    return norm ** (8.0 / (STAGES + 1)) if norm == norm else math.inf
+    n, first, largest = len(work.v1), 0, 0.0
+    while first < n:
+        stop, own = end_of_tree(work.velocity_parent, first), 0.0
+        for m in range(first, stop):
+            own += (error[m] * scale[m]) ** 2 + (error[n + m] * scale[n + m]) ** 2
+        own = math.sqrt(own / (2 * (stop - first)))
+        if not own < math.inf:
+            return math.inf
+        largest, first = max(largest, own), stop
+    return largest ** (8.0 / (STAGES + 1))
 
 
 def iterate(correct, finish, most):

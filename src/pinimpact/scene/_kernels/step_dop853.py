@@ -19,6 +19,7 @@ from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
 from .lie_charts import advance, chart_rate, diverged, magnitudes, turned_too_far
 from .samples import record_sample
+from .trees import end_of_tree
 from .workspace import SceneWorkspace
 
 SAMPLES = np.array(
@@ -85,22 +86,28 @@ def attempt(work, t, h, rtol, atol):
             if SAMPLES[which, i] > 0:
                 record_sample(work, SAMPLES[which, i], ALL_NODES[which, i])
     magnitudes(work.joint_charts, work.q0, work.tolerance_sizes)
-    error = error_norm(h, ERRORS[which], rates[: last + 1], v0, v1, work.tolerance_sizes, rtol, atol)
-    if closed:
-        error = max(error, reaction_error(h, ERRORS[which], reactions[: last + 1], v0, v1, rtol, atol))
-    return error if error == error else math.inf
+    error, first = 0.0, 0
+    while first < n:  # the largest error of a tree, so that it does not depend on other bodies
+        tree = first, end_of_tree(work.velocity_parent, first)
+        given, reaction = (h, ERRORS[which]), 0.0
+        own = error_norm(*given, rates[: last + 1], tree, v0, v1, work.tolerance_sizes, rtol, atol)
+        if closed:
+            reaction = reaction_error(*given, reactions[: last + 1], tree, v0, v1, rtol, atol)
+        if not own + reaction < math.inf:
+            return math.inf
+        error, first = max(error, own, reaction), tree[1]
+    return error
 
 
 @inlined
-def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
-    """Return the error of ∫ r dt over the step relative to the tolerance, r = v̇ due to active rows.
+def reaction_error(h, weights, reactions, tree, v0, v1, rtol, atol):
+    """Return the error of ∫ r dt over the step relative to the tolerance, r = v̇ of a tree due to active rows.
 
     A body at rest does not move under any load, so the error of the motion does not show that a step is too
     long for a changing load; the error of the reactions does. (theory.md, 11.6)
     """
-    n = len(v0)
     e3 = e5 = 0.0
-    for m in range(n):
+    for m in range(tree[0], tree[1]):
         a = b = largest = 0.0
         for j in range(len(reactions)):
             largest = max(largest, abs(reactions[j, m]))
@@ -111,7 +118,7 @@ def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
         e5 += (b * scale) ** 2
     if e3 == 0.0 and e5 == 0.0:
         return 0.0
-    return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * n)
+    return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * (tree[1] - tree[0]))
 
 
 @declared(SceneWorkspace, int, float)
@@ -133,22 +140,26 @@ def set_stage(work, i, h):
 
 
 @inlined
-def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
-    """Return the error of the step relative to the tolerance, root mean square over ξ and v."""
-    n = len(v0)
+def error_norm(h, weights, rates, tree, v0, v1, sizes, rtol, atol):
+    """Return the error of a tree relative to the tolerance, root mean square over its ξ and v.
+
+    `tree` contains its first velocity and that after its last one.
+    """
+    n, (first, stop) = len(v0), tree
     e3 = e5 = 0.0
-    for m in range(2 * n):
-        a = b = 0.0
-        for j in range(len(rates)):
-            a += weights[0, j] * rates[j, m]
-            b += weights[1, j] * rates[j, m]
-        size = sizes[m] if m < n else max(abs(v0[m - n]), abs(v1[m - n]))
-        scale = 1.0 / (atol + rtol * size)
-        e3 += (a * scale) ** 2
-        e5 += (b * scale) ** 2
+    for half in range(2):
+        for m in range(half * n + first, half * n + stop):
+            a = b = 0.0
+            for j in range(len(rates)):
+                a += weights[0, j] * rates[j, m]
+                b += weights[1, j] * rates[j, m]
+            size = sizes[m] if half == 0 else max(abs(v0[m - n]), abs(v1[m - n]))
+            scale = 1.0 / (atol + rtol * size)
+            e3 += (a * scale) ** 2
+            e5 += (b * scale) ** 2
     if e3 == 0.0 and e5 == 0.0:
         return 0.0
-    return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * 2 * n)
+    return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * 2 * (stop - first))
 
 
 @inlined

@@ -28,18 +28,18 @@ LARGEST = 1e4
 """Bound on changes of forces in the null space, relative to `largest_force`: keeps the program bounded."""
 
 
-@declared(SceneWorkspace, FLOATS, bool)
+@declared(SceneWorkspace, FLOATS)
 @external
-def widest_margin(work, found, keeps_motion):
+def widest_margin(work, found):
     """Return the largest margin, with `row_tolerance`, of all forces at the state last evaluated [N]. (11.6)
 
-    With `keeps_motion` of those with the same motion. If the margin is positive, `found` (rows,) is
+    If `found` (rows,) is not empty, that of all forces with the same motion; if it is positive, `found` is
     overwritten with the forces that have it.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if keeps_motion and slips_with_friction(work):
+    if len(found) > 0 and slips_with_friction(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
@@ -61,7 +61,7 @@ def widest_margin(work, found, keeps_motion):
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
     cone_program(P, c, G, h, lines, sizes, NOISE, y, s, z)
     if y[free] > 0.0:
-        for a in range(size):
+        for a in range(min(size, len(found))):
             found[a] = x[a]
             for j in range(free):
                 found[a] += unit * y[j] * null[j, a]

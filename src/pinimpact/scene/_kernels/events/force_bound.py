@@ -31,7 +31,7 @@ def value(work, _, t):
         return max(margin_of_forces(work, 0.0), -1e300), 0.0
     margin = work.force_margin
     if margin < 0.0:
-        margin = 1e300 if work.forces_unique else widest_margin(work, np.empty(len(work.target)), False)
+        margin = 1e300 if work.forces_unique else widest_margin(work, np.empty(0))
     return margin, 0.0
 
 
@@ -46,8 +46,8 @@ def margin_of_forces(work, enough):
     margin = work.force_margin
     if margin < enough and not work.forces_unique:
         if slips_with_friction(work):
-            return widest_margin(work, np.empty(len(work.target)), True)
-        margin = widest_margin(work, work.inner_forces, True)
+            return widest_margin(work, np.empty(len(work.target)))
+        margin = widest_margin(work, work.inner_forces)
     return margin
 
 
