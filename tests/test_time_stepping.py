@@ -589,7 +589,7 @@ def test_redundant_contacts_satisfy_coulombs_law():
 
 
 def leaning_plates(rng, tilt, count=12):
-    """Return mass matrix, Jacobian, free velocities and μ of plates in a row that lean on each other and fall.
+    """Return mass matrix, Jacobian, free velocities and μ of plates in a row that fall on each other.
 
     Each plate has two points on the floor and two on the next plate, at its left and right sides.
     """
