@@ -6,6 +6,7 @@ import itertools
 import math
 import pickle
 import warnings
+from types import SimpleNamespace
 
 import coal
 import numpy as np
@@ -27,6 +28,8 @@ from pinimpact import (
     simulate,
 )
 from pinimpact.app.report import run_facts, run_report
+from pinimpact.errors import IrregularMotionError
+from pinimpact.scene.alternating import Alternating
 from pinimpact.scene.trajectory import Trajectory
 
 from .scene_models import UP, ball, shaped_body, slider, unbounded
@@ -355,3 +358,33 @@ def test_stepped_interval_may_start_with_an_impact():
     mass = pin.crba(scene.model, scene.model.createData(), first[0].q)
     assert first[0].v_after @ mass @ first[0].v_after < first[0].v_before @ mass @ first[0].v_before
     assert np.diff(run.energy.total).max() < 1e-6 * run.energy.total[0]
+
+
+@pytest.mark.parametrize(
+    ("contacts", "velocities", "part", "ending", "takes_over"),
+    [
+        (12, 60, 0.15, 0.2, True),  # 12² · 60 / 54000 = 0.16
+        (12, 60, 0.17, 0.2, False),
+        (12, 60, 0.15, 0.05, False),  # a control makes steps short
+        (40, 60, 0.99, 0.2, True),
+        (40, 60, 1.01, 0.2, False),
+        (4, 18, 0.05, 1.0, False),  # cheap steps
+    ],
+)
+def test_time_steps_take_over_where_event_driven_steps_cost_more(
+    contacts, velocities, part, ending, takes_over
+):
+    dt, h = 1e-3, 1e-3 * part
+    lengths = np.where(np.arange(50) < 50 * ending, 2.0, 1.0) * h  # those that events end are cut by half
+    steps = [SimpleNamespace(start=k * h, end=(k + 1) * h, h=length) for k, length in enumerate(lengths)]
+    record = SimpleNamespace(dense_steps=steps)
+    motion = SimpleNamespace(
+        **{"work": SimpleNamespace(active_contacts=contacts), "model": SimpleNamespace(nv=velocities)},
+        **{"record": record, "instant": SimpleNamespace(record=record), "_longest": dt},
+        state=SimpleNamespace(events_since=0),
+    )
+    if takes_over:
+        with pytest.raises(IrregularMotionError, match=f"50 steps cover .* active contacts: {contacts}"):
+            Alternating._watch_events(motion)
+    else:
+        Alternating._watch_events(motion)
