@@ -20,7 +20,7 @@ from ..robot.names import coordinate_names
 from ._kernels import smooth_motion, step_dop853, step_radau, stiff_drives
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
-from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING, STEPS_STILL, STEPS_TOUCH
+from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
 from .event_watch import EventWatch, Interruption
@@ -35,7 +35,7 @@ from .recorder import Mark
 from .scene import Scene
 from .shape_watch import Meeting
 from .start import state_at
-from .step_uniqueness import StepUniqueness
+from .step_uniqueness import StepUniqueness, step_tolerances
 from .switched_off import altered_model
 from .trajectory import Trajectory
 
@@ -227,8 +227,7 @@ class Integrator:
         )
 
     def _step_uniqueness(self) -> StepUniqueness:
-        touching = max(self.work.touching_gap, STEPS_TOUCH * self.extent)
-        return StepUniqueness(self.model, touching, STEPS_STILL * (self.work.resting_speed or 1.0))
+        return StepUniqueness(self.model, *step_tolerances(self.work, self.extent))
 
     def _sample(self) -> None:
         state = self.state

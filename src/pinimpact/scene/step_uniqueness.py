@@ -12,8 +12,18 @@ from .._numeric.tolerances import RANK, ROUNDOFF
 from ..arrays import Array
 from ..robot.forest import data_of, inverse_mass, joint_jacobian
 from ..robot.names import motion_signs
+from ._kernels.tolerances import STEPS_STILL, STEPS_TOUCH
 from ._kernels.workspace import SceneWorkspace
 from .forces import StepForces
+
+
+def step_tolerances(work: SceneWorkspace, extent: float) -> tuple[float, float]:
+    """Return the largest gap of a closed contact [m] and speed of one at rest [m/s] in time steps.
+
+    `extent` is the size of the scene [m].
+    """
+    touching = max(float(work.touching_gap), STEPS_TOUCH * extent)
+    return touching, STEPS_STILL * float(work.resting_speed or 1.0)
 
 
 class StepUniqueness:

@@ -26,7 +26,7 @@ from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem, widest
-from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_STILL, STEPS_TOGETHER, STEPS_TOUCH
+from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_TOGETHER
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -35,6 +35,7 @@ from .integrator import Integrator
 from .joint_charts import displaced
 from .rest import Rest
 from .step_taken import Near, Removal, StepTaken
+from .step_uniqueness import step_tolerances
 from .switched_off import locked_joints
 
 MOST_IMPACTS = 20
@@ -81,11 +82,10 @@ class TimeStepping(Integrator):
             self._faces.clear()
             return
         self._prepared = True
-        self._touching = max(work.touching_gap, STEPS_TOUCH * self.extent)
+        self._touching, self._still = step_tolerances(work, self.extent)
         self._rest, self._widest = Rest(model, work, state), widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
-        self._still = STEPS_STILL * (work.resting_speed or 1.0)
         self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)

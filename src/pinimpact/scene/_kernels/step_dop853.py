@@ -86,13 +86,13 @@ def attempt(work, t, h, rtol, atol):
             if SAMPLES[which, i] > 0:
                 record_sample(work, SAMPLES[which, i], ALL_NODES[which, i])
     magnitudes(work.joint_charts, work.q0, work.tolerance_sizes)
-    error, first = 0.0, 0
+    error, reaction, first, weights = 0.0, 0.0, 0, ERRORS[which]
+    rates, reactions = rates[: last + 1], reactions[: last + 1]
     while first < n:  # the largest error of a tree, so that it does not depend on other bodies
         tree = first, end_of_tree(work.velocity_parent, first)
-        given, reaction = (h, ERRORS[which]), 0.0
-        own = error_norm(*given, rates[: last + 1], tree, v0, v1, work.tolerance_sizes, rtol, atol)
+        own = error_norm(h, weights, rates, tree, v0, v1, work.tolerance_sizes, rtol, atol)
         if closed:
-            reaction = reaction_error(*given, reactions[: last + 1], tree, v0, v1, rtol, atol)
+            reaction = reaction_error(h, weights, reactions, tree, v0, v1, rtol, atol)
         if not own + reaction < math.inf:
             return math.inf
         error, first = max(error, own, reaction), tree[1]

@@ -18,8 +18,8 @@ from ..._numeric.products import products
 from ..._numeric.tolerances import LITTLE, STALLED
 
 USABLE = STALLED
-"""Residual of the contact problem, relative to u_free, above which it is solved again, and reported. It is
-much smaller than the error of steps of any useful size."""
+"""Residual of the contact problem, relative to u_free, above which it is reported. It is much smaller than
+the error of steps of any useful size."""
 
 TOLERABLE = LITTLE
 """Residual above which the problem is solved in the impulses, a thousand times slower for many contacts."""
