@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import RANK
 from ..arrays import Array, Bools, Integers
 from ..checks import above_zero, finite_array, float_array
 from ..contact_space.derivatives import Boundary
@@ -58,7 +59,7 @@ def _views(columns: Callable[[int], slice | int]) -> tuple[_View, _View]:
     return _View(False, columns), _View(True, columns)
 
 
-KINKED = 1e-10
+KINKED = RANK
 """Entries of `Found.kinks` up to which they are rounding errors."""
 
 
