@@ -776,6 +776,32 @@ def test_contacts_locked_by_friction_come_to_rest(monkeypatch, seed):
     assert solution.iterations < 20_000
 
 
+@pytest.mark.parametrize("friction", [100.0, 1e3, 1e6])
+def test_body_locked_at_three_contacts_stays_locked_under_rounding(friction):
+    # six tangential rows of six coordinates: where all contacts stick the body rests, and the forces, which
+    # then cancel except for rounding, never end it; rounding used to release up to half of these bodies
+    rng = np.random.default_rng(6)
+    root, jacobian = rng.standard_normal((6, 6)), rng.standard_normal((9, 6))
+    inverse = root @ root.T / 6 + 0.3 * np.eye(6)
+    u = np.array([1.99789532, -0.87427993, -1.79947726, -0.6440844, -1.45943176, 0.44296142])
+    w, v = jacobian @ inverse @ jacobian.T, (jacobian @ u).reshape(3, 3)
+    assert np.linalg.matrix_rank(w.reshape(3, 3, 3, 3)[:, :2, :, :2].reshape(6, 6)) == 6
+    stiffness = (0.90319706, 28.29083228, 12.2310016)
+    for seed in range(40):
+        scales = 1.0 + 1e-14 * np.random.default_rng(seed).uniform(-1.0, 1.0, 9)
+        problem = ImpactProblem(
+            scales[:, None] * w * scales,
+            scales.reshape(3, 3) * v,
+            friction,
+            0.5,
+            "energetic",
+            stiffness=stiffness,
+        )
+        solution = solve_impact(problem)
+        assert np.abs(solution.velocity).max() < 1e-7 * np.abs(v).max(), seed
+        assert solution.work.total.sum() == pytest.approx(0.5 * np.sum(v * solution.impulse), rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("seed", "friction"),
     [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)],

@@ -11,7 +11,7 @@ from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import repeated
-from ..._numeric.tolerances import LITTLE, ROUNDOFF
+from ..._numeric.tolerances import LITTLE, ROUNDING, ROUNDOFF
 from .codes import HELD, NONE_YET, OPEN, SLIPPING
 from .first_fall import NEVER
 from .plastic import come_to_rest, end_plastically, plastic_impulses_now
@@ -163,7 +163,7 @@ def _step_to_event(
         if counts[STEP] > most:
             counts[ENDED] = 2
             return at_once, clock
-        if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
+        if pace == 1.0 and h >= LONGEST and _at_rest(system, series, state):
             _open_locked(state)
             return at_once, clock
         crowded = at_once > 2 * len(state.normal)
@@ -329,14 +329,20 @@ def _loaded(state):
 
 
 @inlined
-def _at_rest(series, state):
-    """Return whether all velocities are constant and closed contacts have no normal velocity."""
+def _at_rest(system, series, state):
+    """Return whether all velocities are constant and closed contacts have no normal velocity.
+
+    Accelerations are sums W p of forces that cancel, and zero to the rounding errors of their terms.
+    """
     for j in range(len(state.normal)):
         if state.normal[j] != OPEN and abs(state.v[3 * j + 2]) > SLOW:
             return False
-    for k in range(1, ORDER + 1):
-        for i in range(series.v.shape[1]):
-            if abs(series.v[k, i]) > ROUNDOFF:
+    for i in range(series.v.shape[1]):
+        size = 0.0
+        for a in range(series.v.shape[1]):
+            size += abs(system.w[i, a] * series.force[0, a])
+        for k in range(1, ORDER + 1):
+            if abs(series.v[k, i]) > ROUNDING * size:
                 return False
     return True
 
