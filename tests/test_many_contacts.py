@@ -556,6 +556,57 @@ def test_uncoupled_impacts_are_independent():
     assert both == pytest.approx(np.concatenate([one, other]), abs=1e-9)
 
 
+@pytest.mark.parametrize("policy", ["propagate", "sequence", "together"])
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_uncoupled_contacts_of_any_speed_and_mass_change_no_bit(policy, e):
+    # with common scales a fast, light or heavy body beside others changed their impacts by up to their speed
+    law, friction = ("poisson" if policy == "together" else "energetic"), 0.3
+    jacobian, inverse, u, _, _ = random_robot(1)
+    w, v = jacobian @ inverse @ jacobian.T, (jacobian @ u).reshape(-1, 3)
+    n = len(v)
+    alone = solve_impact(ImpactProblem(w, v, friction, e, law), simultaneous=policy)
+    assert alone.impulse[:, 2].max() > 0.0
+    ball = np.array([[0.5, 0.0, -1.0]])
+    for mass, speed in ((1.0, 1e12), (1.0, 1e-12), (1e-12, 1.0), (1e12, 1.0), (1.0, -1e12), (1.0, 0.0)):
+        both = np.zeros((3 * n + 3, 3 * n + 3))
+        both[:-3, :-3], both[-3:, -3:] = w, np.eye(3) / mass
+        problem = ImpactProblem(both, np.vstack([v, speed * ball]), friction, e, law)
+        solution = solve_impact(problem, simultaneous=policy, record=policy == "propagate")
+        assert np.array_equal(solution.velocity[:n], alone.velocity)
+        assert np.array_equal(solution.impulse[:n], alone.impulse)
+        assert solution.statuses[:n] == alone.statuses
+        assert solution.segments[:n] == alone.segments
+        # the ball slips throughout: P₃ = (1 + e) m v and P_t = −μ P₃
+        expected = (1.0 + e) * mass * max(speed, 0.0) * np.array([-friction, 0.0, 1.0])
+        assert solution.impulse[n] == pytest.approx(expected, rel=1e-12, abs=0.0)
+        assert solution.statuses[n] == (
+            Status.NO_IMPACT if speed <= 0.0 else Status.SEPARATED if e > 0.0 else Status.ENDED_AT_REST
+        )
+        if solution.path is not None:
+            moved = problem.velocity.ravel() + solution.path.impulse.reshape(-1, 3 * n + 3) @ both
+            fastest = np.abs(problem.velocity).max()
+            assert solution.path.velocity.reshape(moved.shape) == pytest.approx(moved, abs=1e-12 * fastest)
+            assert np.diff(solution.path.clock).min() > 0.0
+
+
+def test_uncoupled_contacts_are_named_by_their_numbers():
+    w = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    problem = ImpactProblem(w, [[0, 0, -1], [0, 0, -2]], 0.5, 0.0)
+    with pytest.raises(
+        pinimpact.UnstoppableApproachError, match=r"contact 1 approaches at 2 m/s.* 1 contact "
+    ):
+        solve_impact(problem)
+    with pytest.raises(pinimpact.UnstoppableApproachError):  # raised a ValueError of math.log2
+        solve_impact(ImpactProblem(np.zeros((6, 6)), [[0, 0, -1], [0, 0, -2]], 0.5, 0.0))
+    fine = ImpactProblem(w, [[0, 0, -1], [0, 0, 0]], 0.5, 0.0)
+    assert solve_impact(fine).flags & Flag.SINGULAR_DELASSUS
+    light = ImpactProblem(np.diag(np.repeat([1.0, 1e-15], 3)), [[0, 0, -1], [0, 0, -1]], 0.5, 0.0)
+    assert not solve_impact(light).flags & Flag.SINGULAR_DELASSUS
+    light.delassus[3, 3] = -1e-15
+    with pytest.raises(InputError, match="semidefinite"):
+        solve_impact(light)
+
+
 def test_error_falls_with_rtol():
     jacobian, inverse, u, mu, e = random_robot(3)
     exact, _ = collide(jacobian, inverse, u, friction=mu, restitution=e)

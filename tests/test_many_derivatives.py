@@ -311,6 +311,28 @@ def test_bad_input():
         impact_derivatives(model, data, q, v, [varying])
 
 
+@pytest.mark.parametrize("slower", [1e-3, 1e-6, 1e-9, 1e-13])
+def test_slow_impact_beside_uncoupled_fast_one_has_the_derivatives_of_a_single_contact(slower):
+    # differences with steps and tolerances of the fast impact were wrong, or NaN
+    w = np.array([[1.0, 0.1, 0.2], [0.1, 1.2, -0.1], [0.2, -0.1, 0.8]])
+    fast, slow = np.array([-0.7, 0.2, -1.0]), np.array([0.3, 0.2, -1.0])
+    single = solve_impact(ImpactProblem(w, slow, 0.4, 0.6, "energetic"), derivatives=True).derivatives
+    both = np.kron(np.eye(2), w)
+    problem = ImpactProblem(both, np.vstack([fast, slower * slow]), 0.4, 0.6, "energetic")
+    found = solve_impact(problem, derivatives=True).derivatives
+    for of in ("dv", "dP"):
+        pairs = [
+            (getattr(found, f"{of}_dv")[1, :, 1], getattr(single, f"{of}_dv")),
+            (getattr(found, f"{of}_ddelassus")[1, :, 3:, 3:] / slower, getattr(single, f"{of}_ddelassus")),
+            (getattr(found, f"{of}_dfriction")[1, :, 1] / slower, getattr(single, f"{of}_dfriction")),
+            (getattr(found, f"{of}_drestitution")[1, :, 1] / slower, getattr(single, f"{of}_drestitution")),
+        ]
+        for own, expected in pairs:
+            assert own == pytest.approx(expected, abs=1e-9)
+        assert not getattr(found, f"{of}_dfriction")[0, :, 1].any()
+        assert not getattr(found, f"{of}_dv")[1, :, 0].any()
+
+
 def corners(seed, count, rows):
     """Return a random problem at `count` contacts with J (3 count, rows), and J."""
     rng = np.random.default_rng(seed)

@@ -80,7 +80,8 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
     velocity, count = start.copy(), 0
     while (velocity[2::3] < -rest).any():
         if count >= MOST_IMPACTS * n:
-            named = ", ".join(map(str, np.flatnonzero(velocity[2::3] < -rest).tolist()))
+            left = np.flatnonzero(velocity[2::3] < -rest).tolist()
+            named = ", ".join(str(inputs.place(j)) for j in left)
             raise PinimpactError(
                 f'simultaneous: after {count} reflections contacts {named} still approach; use "propagate"',
                 value="reflect",

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._numeric.tolerances import ROUNDING, ROUNDOFF
-from ..arrays import Bools
+from ..arrays import Bools, Integers
 from ..errors import PinimpactError
 from ._kernels.tolerances import MISSED
 from .derivatives import Boundary, Derivatives
 from .inputs import Array
-from .many_inputs import ManyInputs
+from .many_inputs import ManyInputs, rows_of
 from .many_solution import ManySolution
 from .problem import ZERO
 from .simultaneous import find_policy
@@ -47,6 +47,12 @@ class Change(NamedTuple):
     friction: Array
     restitution: Array
     stiffness: Array
+
+    def part(self, at: Integers) -> Change:
+        """Return the change of the problem of some of the contacts, given by their indices."""
+        rows = rows_of(at)
+        coefficients = (self.friction[at], self.restitution[at], self.stiffness[at])
+        return Change(self.velocity[at], self.delassus[np.ix_(rows, rows)], *coefficients)
 
 
 def coefficient_change(n: int, **of: int) -> Change:
@@ -148,6 +154,8 @@ def slopes_along(
         side: 1 or −1: derivatives that do not exist are replaced by those to this side, if these exist.
         options: Options of the policy.
     """
+    if solution.story.parts:
+        return _slopes_of_groups(inputs, policy, solution, changes, side, options)
     impulse = solution.impulse.ravel()
     if _by_steps(solution):
         nothing = np.full((len(impulse), len(changes)), np.nan)
@@ -173,6 +181,38 @@ def slopes_along(
             found[k] = along.slope(changes[k], float(side))
             columns[:, k] = found[k].impulse if along.known(changes[k], found[k]) else np.nan
     return Slopes(columns, np.array([one.unshared <= AGREED for one in found], dtype=bool), boundary)
+
+
+def _slopes_of_groups(
+    inputs: ManyInputs,
+    policy: str,
+    solution: ManySolution,
+    changes: Sequence[Change],
+    side: int | None,
+    options: Mapping[str, Any],
+) -> Slopes:
+    """Differentiate each group of coupled contacts with its own scales; arguments as for `slopes_along`.
+
+    Changes that couple groups are differences of the whole problem.
+    """
+    impulse = np.zeros((solution.impulse.size, len(changes)))
+    shared, boundary = np.ones(len(changes), dtype=bool), Boundary.NONE
+    for at, part in solution.story.parts:
+        own = [change.part(at) for change in changes]
+        found = slopes_along(inputs.part(at), policy, part, own, side, options)
+        impulse[rows_of(at)] = found.impulse
+        shared &= found.shared
+        boundary |= found.boundary
+    inner = np.zeros(inputs.delassus.shape, dtype=bool)
+    for at, _ in solution.story.parts:
+        inner[np.ix_(rows_of(at), rows_of(at))] = True
+    couples = [k for k, change in enumerate(changes) if change.delassus[~inner].any()]
+    if couples:
+        one = solution.with_story(parts=())
+        found = slopes_along(inputs, policy, one, [changes[k] for k in couples], side, options)
+        impulse[:, couples], shared[couples] = found.impulse, found.shared
+        boundary |= found.boundary
+    return Slopes(impulse, shared, boundary)
 
 
 def _by_steps(solution: ManySolution) -> bool:

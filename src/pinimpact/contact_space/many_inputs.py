@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import finite_array, real_numbers
+from ..arrays import Integers
+from ..checks import counted, finite_array, real_numbers
 from ..errors import InputError, UnstoppableApproachError
 from .inputs import Array
 from .laws import law_code
@@ -26,6 +27,7 @@ class ManyInputs(NamedTuple):
         law: Name of the restitution law.
         surface_velocity: (n, 3) velocities of the surfaces [m/s].
         singular: Whether W is singular.
+        places: Numbers of the contacts in the problem, if these are some of its contacts.
     """
 
     delassus: Array
@@ -36,6 +38,43 @@ class ManyInputs(NamedTuple):
     law: str
     surface_velocity: Array
     singular: bool
+    places: tuple[int, ...] = ()
+
+    def part(self, at: Integers) -> ManyInputs:
+        """Return the problem of some of the contacts, given by their indices."""
+        rows = rows_of(at)
+        return ManyInputs(
+            self.delassus[np.ix_(rows, rows)],
+            *(self.velocity[at], self.friction[at], self.restitution[at], self.stiffness[at]),
+            *(self.law, self.surface_velocity[at], self.singular, tuple(self.place(j) for j in at.tolist())),
+        )
+
+    def place(self, j: int) -> int:
+        """Return the number of contact j in the problem."""
+        return self.places[j] if self.places else j
+
+
+def rows_of(at: Integers) -> Integers:
+    """Return the rows (3m,) of contacts (m,)."""
+    return (3 * at[:, None] + np.arange(3)).ravel()
+
+
+def coupled_groups(delassus: Array) -> list[Integers]:
+    """Return the indices of the contacts of each group that W (3n, 3n) couples, in ascending order."""
+    n = len(delassus) // 3
+    coupled = (delassus != 0.0).reshape(n, 3, n, 3).any(axis=(1, 3))
+    coupled |= coupled.T
+    left, groups = np.ones(n, dtype=bool), []
+    while left.any():
+        group = np.zeros(n, dtype=bool)
+        group[np.argmax(left)] = True
+        grown = group
+        while grown.any():
+            grown = coupled[grown].any(axis=0) & ~group
+            group |= grown
+        left &= ~group
+        groups.append(np.flatnonzero(group))
+    return groups
 
 
 def many_inputs(problem: ImpactProblem) -> ManyInputs:
@@ -48,6 +87,27 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
     n = np.shape(problem.velocity)[0]
     velocity = np.array(finite_array("velocity", problem.velocity, (n, 3)))
     delassus = finite_array("delassus", problem.delassus, (3 * n, 3 * n))
+    singular = False
+    for at in coupled_groups(delassus):
+        rows = rows_of(at)
+        singular |= _check_semidefinite(problem, delassus[np.ix_(rows, rows)])
+    delassus = 0.5 * (delassus + delassus.T)
+    law_code(problem.law)
+    stiffness = 1.0 if problem.stiffness is None else problem.stiffness
+    return ManyInputs(
+        delassus,
+        velocity,
+        _per_contact("friction", problem.friction, n, 0.0, np.inf, "a finite number ≥ 0"),
+        _per_contact("restitution", problem.restitution, n, 0.0, 1.0, "a number from 0 to 1"),
+        _per_contact("stiffness", stiffness, n, np.nextafter(0.0, 1.0), np.inf, "a finite number > 0"),
+        problem.law,
+        np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (n, 3)),
+        singular,
+    )
+
+
+def _check_semidefinite(problem: ImpactProblem, delassus: Array) -> bool:
+    """Raise `InputError` if W of a group of coupled contacts is invalid; return whether it is singular."""
     largest = float(np.abs(delassus).max(initial=0.0))
     asymmetry = float(np.abs(delassus - delassus.T).max(initial=0.0))
     if asymmetry > ZERO * largest:
@@ -59,24 +119,13 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
     delassus = 0.5 * (delassus + delassus.T)
     moves = delassus.any(axis=1)  # rows of zeros have eigenvalues that are exactly zero
     eigenvalues = np.linalg.eigvalsh(delassus[np.ix_(moves, moves)]) if moves.any() else np.zeros(1)
-    least = ZERO * max(1, n) * float(np.abs(eigenvalues).max())
+    least = ZERO * (len(delassus) // 3) * float(np.abs(eigenvalues).max())
     if eigenvalues[0] < -least:
         raise InputError(
             f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {eigenvalues[0]:.6g}",
             value=problem.delassus,
         )
-    law_code(problem.law)
-    stiffness = 1.0 if problem.stiffness is None else problem.stiffness
-    return ManyInputs(
-        delassus,
-        velocity,
-        _per_contact("friction", problem.friction, n, 0.0, np.inf, "a finite number ≥ 0"),
-        _per_contact("restitution", problem.restitution, n, 0.0, 1.0, "a number from 0 to 1"),
-        _per_contact("stiffness", stiffness, n, np.nextafter(0.0, 1.0), np.inf, "a finite number > 0"),
-        problem.law,
-        np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (n, 3)),
-        bool(not moves.all() or eigenvalues[0] <= least),
-    )
+    return bool(not moves.all() or eigenvalues[0] <= least)
 
 
 def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: str) -> Array:
@@ -136,8 +185,8 @@ def refuse(inputs: ManyInputs) -> None:
     """Raise `UnstoppableApproachError`: no impulses can stop all approaches."""
     j = int(np.argmin(inputs.velocity[:, 2]))
     raise UnstoppableApproachError(
-        f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at "
-        f"the {len(inputs.velocity)} contacts can stop all of them; the mechanism cannot move "
+        f"velocity: contact {inputs.place(j)} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses "
+        f"at {counted(len(inputs.velocity), 'contact')} can stop all of them; the mechanism cannot move "
         "along the normals",
         value=inputs.velocity,
     )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from .._numeric.tolerances import ROUNDING
+from ..arrays import Integers
 from ..checks import counted, finite_array, in_short, whole_number
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
@@ -80,6 +81,7 @@ class ManyStory(NamedTuple):
         resolved: Whether the propagation was resolved; False for a plastic impact instead.
         again: Returns v⁺ (n, 3) with the stiffnesses multiplied by factors (n,).
         jumps: Returns whether v⁺ jumps under small changes of the data.
+        parts: The solution of each group of coupled contacts, with their indices, if there are several.
     """
 
     segments: Callable[[], Segments]
@@ -90,6 +92,7 @@ class ManyStory(NamedTuple):
     resolved: bool = True
     again: Callable[[Array], Array] | None = None
     jumps: Callable[[], bool] | None = None
+    parts: tuple[tuple[Integers, ManySolution], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,6 +123,10 @@ class ManySolution:
     path: ManyPath | None = None
     derivatives: Derivatives | None = None
 
+    def with_story(self, **changes: Any) -> ManySolution:
+        """Return a copy with other fields of `story`."""
+        return replace(self, story=self.story._replace(**changes))
+
     @cached_property
     def work(self) -> Work:
         """The `Work` of each contact, arrays (n,) [J]."""
@@ -139,8 +146,11 @@ class ManySolution:
         For `Flag.NEAR_JUMP` the impact is solved again, with data that differ by 10⁻¹² and 10⁻⁶, and with
         e = 10⁻³ and 10⁻⁴ in place of zero.
         """
-        works = self.story.works
-        flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
+        works, flags = self.story.works, Flag.NONE
+        if not self.story.parts:
+            flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
+        for _, part in self.story.parts:
+            flags |= part.flags
         if self.story.bounded:
             return flags | Flag.BOUND_REACHED
         return flags | Flag.NEAR_JUMP if self.story.jumps is not None and self.story.jumps() else flags
@@ -160,6 +170,12 @@ class ManySolution:
     @property
     def statuses(self) -> tuple[Status, ...]:
         """The status of each contact."""
+        if self.story.parts:
+            found = [Status.NO_IMPACT] * len(self.velocity)
+            for at, part in self.story.parts:
+                for j, one in zip(at.tolist(), part.statuses, strict=True):
+                    found[j] = one
+            return tuple(found)
         rest = SLOW * float(np.abs(self.velocity).max(initial=0.0))
 
         def status(velocity: Array, impulse: Array) -> Status:

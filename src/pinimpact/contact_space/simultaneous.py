@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -18,12 +18,13 @@ from ._kernels.tolerances import BY_STEPS, MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
-from .many_inputs import ManyInputs, many_inputs, solution_of
+from .many_inputs import ManyInputs, coupled_groups, many_inputs, solution_of
 from .many_solution import ManySolution
 from .methods import check_options
 from .one_contact import solve_inputs
 from .problem import ImpactProblem
 from .solution import Segment
+from .uncoupled import by_groups
 from .waves import RTOL, kernels_of_waves, propagate_waves
 
 Run = Callable[..., ManySolution]
@@ -75,7 +76,7 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
         warnings.warn(" ".join(found.notes), BoundReachedWarning, stacklevel=3)
     again = partial(_resolved, simultaneous, inputs, options)
     jumps = partial(_jumps, simultaneous, inputs, options, found.velocity)
-    return replace(found, story=found.story._replace(again=again, jumps=jumps))
+    return found.with_story(again=again, jumps=jumps)
 
 
 def _resolved(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], factors: Array) -> Array:
@@ -94,8 +95,12 @@ SMOOTH = 1e3
 def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], velocity: Array) -> bool:
     """Return whether v⁺ (n, 3) jumps under small changes of the data.
 
-    Each contact axis is scaled slightly, in v and in W. This preserves redundancy and zeros.
+    Each contact axis is scaled slightly, in v and in W. This preserves redundancy and zeros. Each group of
+    coupled contacts is compared with its own largest velocity.
     """
+    groups = coupled_groups(inputs.delassus)
+    if len(groups) > 1:
+        return any(_jumps(simultaneous, inputs.part(at), options, velocity[at]) for at in groups)
     run = find_policy(simultaneous).run
     direction = np.random.default_rng(0).uniform(-1.0, 1.0, inputs.velocity.shape)
     size = float(np.abs(inputs.velocity).max(initial=0.0))
@@ -138,6 +143,10 @@ LAST = 5
 """Number of the last impacts that the note on a sequence without end lists."""
 
 
+def _sequence(inputs: ManyInputs, record: bool) -> ManySolution:
+    return _one_by_one(inputs, "sequence", lambda rates: int(np.argmin(rates)))
+
+
 def _any(inputs: ManyInputs, record: bool, seed: int = 0) -> ManySolution:
     generator = np.random.default_rng(seed)
     rest = ROUNDING * float(np.abs(inputs.velocity).max(initial=0.0))
@@ -166,7 +175,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
             NO_FACTOR,
         )
         one = solve_inputs(numbers)
-        last = [*last[1 - LAST :], f"contact {j} at {-velocity[3 * j + 2]:.3g} m/s"]
+        last = [*last[1 - LAST :], f"contact {inputs.place(j)} at {-velocity[3 * j + 2]:.3g} m/s"]
         start = float(impulse[3 * j + 2])
         segments[j] += [Segment(s.mode, s.phase, start + s.start, start + s.end) for s in one.segments]
         works[j] += one.work.compression, one.work.restitution, one.work.friction
@@ -201,7 +210,7 @@ def without_end(count: int, last: Sequence[str]) -> str:
 POLICIES: Mapping[str, Policy] = MappingProxyType(
     {
         "propagate": Policy(
-            propagate_waves,
+            by_groups(propagate_waves),
             kernels_of_waves,
             "the LZB model: impulses propagate through stiff contacts on an internal clock, with "
             "the energetic law; unique, symmetric, creates no energy; depends on ratios of "
@@ -209,23 +218,23 @@ POLICIES: Mapping[str, Policy] = MappingProxyType(
             {"exponent": 1.0, "rtol": RTOL, "accuracy": BY_STEPS},
         ),
         "sequence": Policy(
-            lambda inputs, _: _one_by_one(inputs, "sequence", lambda rates: int(np.argmin(rates))),
+            by_groups(_sequence),
             tuple,
             "single impacts, the fastest contact first; depends on the order",
         ),
         "together": Policy(
-            together,
+            by_groups(together),
             kernels_at_once,
             "all contacts at once by Poisson's law, a complementarity problem in two phases; no "
             "propagation; with friction not unique, and can create energy",
         ),
         "reflect": Policy(
-            reflect,
+            by_groups(reflect),
             kernels_at_once,
             "generalized reflections, mixed with a plastic impact by e; frictionless, no propagation",
         ),
         "any": Policy(
-            _any,
+            by_groups(_any),
             tuple,
             "single impacts in an order drawn with seed=, to see how much the order matters",
             {"seed": 0},

@@ -118,6 +118,8 @@ def _propagate_in_steps(
     inputs: ManyInputs, exponent: float, record: bool, asked: float
 ) -> ManySolution | None:
     """Integrate an impact by adaptive steps to the accuracy `asked`; return None if this fails."""
+    if not np.diag(inputs.delassus)[2::3].any():  # no impulse changes a normal velocity
+        return None
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
     by_steps, steps, accuracy, rows = np.inf, 0, asked / FIRST, _rows_of(inputs.delassus)
