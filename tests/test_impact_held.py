@@ -288,7 +288,12 @@ def test_joint_reactions_satisfy_momentum_balance_of_links(robot, held):
     v *= -np.sign(matrices.velocity(v)[2])
     hit = pinimpact.impact(model, data, q, v, contact, held=anchors)
     found = hit.joint_reactions(model, data, q, v, anchors)
-    change = hit.v - v
+    pushes = [hit.impulse_world, *hit.held_impulses]
+    check_balance(model, data, q, hit.v - v, found, [contact, *anchors], pushes)
+
+
+def check_balance(model, data, q, change, found, contacts, pushes):
+    """Check that the wrenches through the joints and the impulses at contacts change the momenta of links."""
     pin.forwardKinematics(model, data, q, change)
     pin.updateFramePlacements(model, data)
     momenta = [data.oMi[i].act(model.inertias[i] * data.v[i]).vector for i in range(model.njoints)]
@@ -299,7 +304,7 @@ def test_joint_reactions_satisfy_momentum_balance_of_links(robot, held):
         balance[i] -= wrenches[i]
         balance[model.parents[i]] += wrenches[i]
     balance[0] += wrenches[0]
-    for one, push in zip([contact, *anchors], [hit.impulse_world, *hit.held_impulses], strict=True):
+    for one, push in zip(contacts, pushes, strict=True):
         at = contact_geometry(model, data, q, one).point
         tip = model.frames[model.getFrameId(one.frame)].parentJoint
         balance[tip] -= [*push, *np.cross(at, push)]
@@ -311,6 +316,32 @@ def test_joint_reactions_satisfy_momentum_balance_of_links(robot, held):
         own = slice(model.idx_vs[i], model.idx_vs[i] + model.nvs[i])
         free = np.asarray(data.joints[i].S).T @ found[i] + model.armature[own] * change[own]
         assert np.abs(free).max() < 1e-11 * np.abs(wrenches).max()
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.HeldContactWarning")
+@pytest.mark.parametrize("held", [(), ("HR_FOOT",)])
+@pytest.mark.parametrize("policy", ["propagate", "together"])
+def test_joint_reactions_of_impact_at_many_contacts(policy, held):
+    model, data = cases.load("solo12")
+    rng = np.random.default_rng(11)
+    model.armature = rng.uniform(0, 0.3, model.nv) * (np.arange(model.nv) >= 6)
+    contacts = [
+        pinimpact.Contact("FL_FOOT", GROUND, friction=0.4, restitution=0.5, radius=0.02),
+        pinimpact.Contact("FR_FOOT", pinimpact.Plane(body="HL_UPPER_LEG"), friction=0.3, restitution=0.2),
+    ]
+    anchors = [pinimpact.Contact(frame, GROUND) for frame in held]
+    q, v = cases.random_state(model, rng)
+    matrices = [pinimpact.contact_matrices(model, data, q, one, anchors) for one in contacts]
+    rows = np.vstack([one.jacobian[2:] for one in matrices] + [one.jacobian for one in matrices[0].held])
+    wanted = np.r_[-1.0, -0.7, np.zeros(len(rows) - 2)]
+    v += np.linalg.pinv(rows) @ (wanted - rows @ v)
+    hit = pinimpact.impact(model, data, q, v, contacts, held=anchors, simultaneous=policy)
+    assert (hit.solution.impulse[:, 2] > 0).all()
+    found = hit.joint_reactions(model, data, q, v, anchors)
+    pushes = [*hit.impulses_world, *hit.held_impulses]
+    check_balance(model, data, q, hit.v - v, found, [*contacts, *anchors], pushes)
+    with pytest.raises(pinimpact.InputError, match="held: 2 given, "):
+        hit.joint_reactions(model, data, q, v, [anchors[0] if held else contacts[0]] * 2)
 
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])

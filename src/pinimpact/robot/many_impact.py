@@ -22,6 +22,7 @@ from ._kernels import contact_kinematics
 from ._kernels.responses import half_solve, respond
 from .contact import Contact, Contacts, check_contact, check_held
 from .held import check_at_rest, warn_of_pulls
+from .joint_reactions import held_of_impact, joint_reactions
 from .matrices import ManyMatrices, many_matrices
 from .names import Stiffening
 from .placed_robot import PlacedRobot
@@ -63,6 +64,16 @@ class ManyHit:
     problem: ImpactProblem
     solution: ManySolution
     held_impulses: Array
+
+    def joint_reactions(
+        self, model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, held: Sequence[Contact] = ()
+    ) -> Array:
+        """Return the impulsive wrench through each joint, (joints, 6); see `Hit.joint_reactions`."""
+        placed = PlacedRobot(model, data, q)
+        contacts = (*self.contacts, *held_of_impact(held, len(self.held_impulses)))
+        change = self.v - finite_array("v", v, self.v.shape)
+        pushes = np.vstack([self.impulses_world, self.held_impulses])
+        return joint_reactions(placed, change, contacts, pushes)
 
     def _repr_html_(self) -> str:
         names = [contact.label for contact in self.contacts]

@@ -21,13 +21,13 @@ from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
 from ..display import html_table, in_a_line
-from ..errors import InputError, UnknownNameError
+from ..errors import UnknownNameError
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, Contacts, check_contact, check_held, is_pair
 from .data_cache import DataCache, _caches, data_cache, not_normalized
-from .forest import Forest
 from .held import held_at_rest, warn_of_pulls
+from .joint_reactions import held_of_impact, joint_reactions
 from .many_impact import ImpactOptions, ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
 from .names import Stiffening, is_stiff, model_of, singular_mass
@@ -136,14 +136,10 @@ class Hit:
             held: The held contacts of the impact.
         """
         placed = PlacedRobot(model, data, q)
-        contacts = (self._contact, *check_held(held))
-        if len(contacts) != 1 + len(self.held_impulses):
-            raise InputError(
-                f"held: {len(contacts) - 1} given, {len(self.held_impulses)} of the impact expected",
-                value=held,
-            )
+        contacts = (self._contact, *held_of_impact(held, len(self.held_impulses)))
         change = self.v - finite_array("v", v, self.v.shape)
-        return _joint_reactions(placed, change, contacts, np.vstack([self.impulse_world, self.held_impulses]))
+        pushes = np.vstack([self.impulse_world, self.held_impulses])
+        return joint_reactions(placed, change, contacts, pushes)
 
     def _repr_html_(self) -> str:
         title = f"{self._contact.label}: impulse on the robot, world axes [N s]"
@@ -393,31 +389,3 @@ def impact_in_steps(
     )
     ended = (solution.status, solution.flags, solution.iterations)
     return Hit(numbers, ended, contact, restitution, solution, held_impulses)
-
-
-def _joint_reactions(placed: PlacedRobot, change: Array, contacts: Sequence[Contact], pushes: Array) -> Array:
-    """Return the impulsive wrenches through the joints (joints, 6), see `Hit.joint_reactions`.
-
-    They are the inverse dynamics, without gravity, of the velocity change (nv,), with the impulses `pushes`
-    (k, 3) at the contacts, in world axes, as external forces.
-    """
-    model, data = placed.model, placed.data
-    if isinstance(data, Forest):
-        raise InputError("data: a Forest given; a pinocchio Data is expected", value=data)
-    outside = [pin.Force.Zero() for _ in range(model.njoints)]
-    for contact, push in zip(contacts, pushes, strict=True):
-        at = placed.geometry(contact).point
-        wrench = pin.Force(push, np.cross(at, push))
-        ends = placed.cache.contact(contact.frame, contact.plane.body)[:2]
-        for frame, sign in zip(ends, (1.0, -1.0), strict=True):
-            joint = model.frames[frame].parentJoint
-            outside[joint] += data.oMi[joint].actInv(sign * wrench)
-    still, nothing = np.zeros(len(change)), [pin.Force.Zero()] * model.njoints
-    wrenches = np.zeros((model.njoints, 6))
-    for sign, acceleration, forces in ((1.0, change, outside), (-1.0, still, nothing)):  # less gravity
-        pin.rnea(model, data, placed.q, still, acceleration, forces)
-        wrenches[1:] += [sign * data.f[joint].vector for joint in range(1, model.njoints)]
-    for joint in range(1, model.njoints):
-        if model.parents[joint] == 0:
-            wrenches[0] -= data.oMi[joint].act(pin.Force(wrenches[joint])).vector
-    return wrenches
