@@ -400,6 +400,23 @@ def test_sobol_indices_against_closed_form():
         _run().sobol_indices("v.rail")
 
 
+@pytest.mark.parametrize("design", ["sobol", "halton", "saltelli"])
+def test_independent_numbers_of_one_distribution(design):
+    """They are drawn as those of single distributions are."""
+    parts = {"friction": stats.uniform(0.2, 0.3), "restitution": stats.uniform(0.0, 1.0)}
+    joint = {("friction", "restitution"): stats.uniform([0.2, 0.0], [0.3, 1.0])}
+    how = {"samples": 8, "design": design}
+    one, other = (ensemble(_scene(), [0.0], [-1.0], None, over=over, **how) for over in (parts, joint))
+    _same(one, other)
+
+
+def test_integers_are_drawn_as_numbers():
+    over = {"restitution": stats.randint(0, 2)}
+    found = ensemble(_scene(), [0.0], [-1.0], None, over=over, samples=9)
+    assert found.columns["restitution"].dtype == float
+    np.testing.assert_allclose(found.columns["v.rail"], found.columns["restitution"])
+
+
 def _tables(page):
     """Return the rows of all tables of a page, cells without markup."""
     rows = re.findall(r"<tr>(.*?)</tr>", page)

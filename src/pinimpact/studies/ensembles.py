@@ -192,7 +192,8 @@ def ensemble(
         samples: Number of samples.
         seed: Seed of all draws.
         design: "random"; "sobol" or "halton", low-discrepancy sequences of `scipy.stats.qmc`; "saltelli", for
-            `Ensemble.sobol_indices`. All but the first need distributions of one number, with ``ppf``.
+            `Ensemble.sobol_indices`. All but the first need distributions with ``ppf``, of independent
+            numbers.
         executor: None: this process; a number of worker processes, replaced where they die; or any
             `concurrent.futures.Executor`, such as that of a Dask client. A script that starts processes has
             its calls below ``if __name__ == "__main__":``.

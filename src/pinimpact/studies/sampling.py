@@ -130,10 +130,11 @@ class Sampling:
                 rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(i,)))
                 drawn = (np.ravel(distribution.rvs(random_state=rng)) for _, distribution in self._parts)
                 rows.append(np.concatenate(list(drawn)))
-            return np.array(rows)
-        unit = self._unit(first, count)
-        columns = [distribution.ppf(unit[:, k]) for k, (_, distribution) in enumerate(self._parts)]
-        return np.array(columns).T
+            return np.array(rows, dtype=float)
+        ends = np.cumsum([len(names) for names, _ in self._parts])[:-1]
+        parts = np.split(self._unit(first, count), ends, axis=1)
+        columns = [distribution.ppf(part) for part, (_, distribution) in zip(parts, self._parts, strict=True)]
+        return np.hstack(columns).astype(float)
 
     def _unit(self, first: int, count: int) -> Array:
         """Return points (count, d) of the unit cube."""
