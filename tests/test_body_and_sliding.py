@@ -157,6 +157,10 @@ def test_bad_input_is_named() -> None:
         studies.identify_sliding([still], Scene(box_scene().model, box_scene().contacts[:2]))
     with pytest.raises(InputError, match="rollouts is for one free body"):
         studies.rollouts(Scene(load_robot("panda")), [still])
+    rotated = box_scene().model.copy()
+    rotated.jointPlacements[1] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.5 * np.pi), np.zeros(3))
+    with pytest.raises(InputError, match="is rotated relative to the world; identify_sliding needs"):
+        studies.identify_sliding([still], Scene(rotated, box_scene().contacts))
     noise = (1e-5, 1e-4)
     with pytest.raises(InputError, match="motion 0 has no flight of 5 frames"):
         studies.rollouts(box_scene(), [studies.Motion(t, still.q, sigma=noise)])

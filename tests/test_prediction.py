@@ -23,10 +23,10 @@ def _set(scene, name, value):
     return replace(scene, contacts=[replace(contact, **{name: value}) for contact in scene.contacts])
 
 
-def _body(contacts=()):
+def _body(contacts=(), placement=None):
     """Return a scene of a free ball."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), placement or pin.SE3.Identity(), "base")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
     model.addFrame(pin.Frame("tip", joint, pin.SE3.Identity(), pin.OP_FRAME))
     return Scene(model, list(contacts) or [Contact("tip", Plane())])
@@ -90,6 +90,22 @@ def test_faces_on_top():
     assert set(faces) == {"-x", "+z"}
     assert sum(share.value for share in faces.values()) == pytest.approx(1.0)
     assert all(share.low < 0.5 < share.high or abs(share.value - 0.5) < 0.1 for share in faces.values())
+
+
+def test_free_joint_whose_axes_are_not_those_of_the_world():
+    """The pose of the body in the world does not depend on the axes in which its configuration is given."""
+    placement = pin.SE3(Rotation.from_rotvec([1.0, 0.5, -2.0]).as_matrix(), np.array([0.3, -0.2, 0.1]))
+    spread = {"q0": np.diag([1e-2, 1e-2, 1e-2, 0.2, 0.2, 0.2])}
+    own = pin.SE3ToXYZQUAT(placement.inverse() * pin.XYZQUATToSE3(START))
+    given = _fitted(), np.zeros(6), NEVER
+    found, turned = (
+        predict(scene, given[0], q0, *given[1:], start=spread, samples=200)
+        for scene, q0 in ((_body(), START), (_body(placement=placement), own))
+    )
+    assert turned.position(0.5)[0] == pytest.approx(found.position(0.5)[0], abs=1e-12)
+    assert (turned.rotation()[0].inv() * found.rotation()[0]).magnitude() < 1e-7
+    assert turned.faces() == found.faces()
+    assert turned._nearest() == found._nearest()
 
 
 G = 9.81

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import ROUNDOFF
 from ..arrays import Array
 from ..checks import choice, counted, finite_array, in_short, real_numbers
 from ..errors import InputError
@@ -123,10 +124,20 @@ def matrices_of(found: FoundImpacts, scene: Scene) -> list[ContactMatrices]:
 
 
 def free_body(scene: Scene, what: str) -> pin.Inertia:
-    """Return the inertia of the only body of a scene, which is free, or raise `InputError`."""
+    """Return the inertia of the only body of a scene, which is free, or raise `InputError`.
+
+    Recorded configurations are poses in the world, so the axes of the free joint must be those of the world.
+    """
     model = scene.model
     if model.njoints != 2 or model.joints[1].shortname() != "JointModelFreeFlyer":
         raise InputError(
             f"scene: {what} is for one free body; {model.name!r} has {model.njoints - 1} joints", value=scene
+        )
+    rotation = model.jointPlacements[1].rotation
+    if np.abs(rotation - np.eye(3)).max() > ROUNDOFF:
+        raise InputError(
+            f"scene: the free joint {model.names[1]!r} is rotated relative to the world; {what} needs "
+            "model.jointPlacements[1] without rotation, and recordings in world axes",
+            value=scene,
         )
     return model.inertias[1]

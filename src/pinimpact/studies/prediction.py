@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
@@ -42,20 +43,23 @@ class Prediction:
     Attributes:
         ensemble: All samples. Those that raised an error are excluded from the statistics.
         base: Name of the free joint whose pose is predicted.
+        placement: Pose of the axes of its configuration, in the world.
     """
 
     ensemble: Ensemble
     base: str
+    placement: pin.SE3
 
     def _poses(self) -> tuple[Array, Rotation]:
-        """Return the final positions and rotations of all samples without an error."""
+        """Return the final positions and rotations of all samples without an error, in the world."""
         columns = self.ensemble.columns
         ended = columns["status"] == "OK"
         if not ended.any():
             raise InputError("samples: no sample has a final pose; see ensemble.frequencies()")
         names = ("x", "y", "z", "qx", "qy", "qz", "qw")
         values = np.array([columns[f"q.{self.base}.{name}"][ended] for name in names], dtype=float).T
-        return values[:, :3], Rotation.from_quat(values[:, 3:])
+        axes, origin = np.array(self.placement.rotation), np.array(self.placement.translation)
+        return origin + values[:, :3] @ axes.T, Rotation.from_matrix(axes) * Rotation.from_quat(values[:, 3:])
 
     def position(self, level: float = 0.9) -> tuple[Array, float]:
         """Return the median (3,) of the final positions, and the radius [m] that contains a part of them."""
@@ -157,7 +161,11 @@ def predict(
         UnknownNameError: A name in `scatter` or `start` that does not exist.
     """
     model = scene.model
-    free = [name for name, joint in zip(model.names, model.joints, strict=True) if joint.nq == 7]
+    free = [
+        j
+        for j in range(1, model.njoints)
+        if model.parents[j] == 0 and model.joints[j].shortname() == "JointModelFreeFlyer"
+    ]
     if not free:
         raise InputError("scene: no body has a free joint, so there is no pose to predict")
     if "reduce" in options:
@@ -179,4 +187,4 @@ def predict(
     found = ensemble(
         scene, q0, v0, duration, over=over, samples=samples, seed=seed, executor=executor, **options
     )
-    return Prediction(found, free[0])
+    return Prediction(found, model.names[free[0]], pin.SE3(model.jointPlacements[free[0]]))
