@@ -71,6 +71,14 @@ def test_fit_of_exact_impacts(law: str, loss: str) -> None:
     assert fit.interval(0.99).ravel() == pytest.approx([0.21, 0.21, 0.43, 0.43], abs=1e-6)
 
 
+def test_fit_of_exact_impacts_at_the_bounds() -> None:
+    W, before = random_bodies(40, np.random.default_rng(1))
+    for truth in ((0.0, 0.0), (0.0, 0.43), (0.21, 0.0), (0.21, 1.0)):
+        fit = studies.identify((W, before, solve_impacts(W, before, *truth).velocity))
+        assert fit.x == pytest.approx(truth, abs=1e-7)
+        assert fit.unidentified == ()
+
+
 def test_coefficients_of_single_contacts_of_a_robot() -> None:
     robot = load_robot("solo12")
     rng = np.random.default_rng(2)

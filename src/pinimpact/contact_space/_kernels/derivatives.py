@@ -9,6 +9,7 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import always_inlined, external, inlined, released
+from ..._numeric.tolerances import TINY
 from . import codes as code
 from .batch import asymmetry, write_result
 from .contact_problem import prepare
@@ -397,6 +398,8 @@ def differentiate_into(
     """
     factor, scratch, moves, numbers = borrowed(factor), borrowed(scratch), borrowed(moves), borrowed(numbers)
     codes, out, boundaries = borrowed(codes), borrowed(out), borrowed(boundaries)
+    if mu < TINY:
+        mu = 0.0  # where 1/μ overflows, and μA underflows, the derivatives are those without friction
     given = w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     result = Result(*solve_into(*given, scratch, moves, moves[:0]))
     write_result(i, result, numbers, codes)
