@@ -124,6 +124,29 @@ def test_trajectories_can_be_pickled_and_saved(asked: bool, tmp_path) -> None:
     assert scales["hinge lower"] is None
 
 
+def test_damaged_files_raise(trajectory, tmp_path) -> None:
+    path = tmp_path / "whole.npz"
+    trajectory.save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in ("meta", "t", "segment_q", "force_rows"):
+        part = tmp_path / "part.npz"
+        np.savez_compressed(part, **{key: value for key, value in arrays.items() if key != name})
+        with pytest.raises(
+            pinimpact.InputError, match=f"part.npz' is not a readable trajectory .it lacks '{name}"
+        ):
+            Trajectory.load(part)
+    raw, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = tmp_path / "damaged.npz"
+    for place in rng.integers(0, len(raw), 60).tolist():
+        damaged.write_bytes(raw[:place] + bytes([raw[place] ^ 0x55]) + raw[place + 1 :])
+        try:
+            found = Trajectory.load(damaged)
+        except pinimpact.InputError:
+            continue
+        assert np.array_equal(found.q, trajectory.q)  # the byte is not one of the numbers
+
+
 def test_partial_trajectory_of_failed_run_can_be_pickled() -> None:
     contact = Contact("center", Plane(), restitution=0.9, radius=0.1)
     with pytest.raises(SimulationError) as caught:

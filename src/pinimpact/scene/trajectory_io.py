@@ -121,7 +121,28 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: The file is missing, or is not a trajectory.
     """
-    arrays, meta = _opened(path)
+    path = file_path("path", path)
+    if not path.is_file():
+        raise InputError(f"path: there is no file {path}", value=path)
+    try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("not a zip archive")
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        meta = json.loads(str(arrays["meta"]))
+        if meta["format"] != FORMAT:
+            raise ValueError(f"format {meta['format']}")
+        return _parts(arrays, meta)
+    except Exception as error:  # what a damaged archive raises depends on the damaged part
+        what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(
+            f"path: {str(path)!r} is not a readable trajectory ({what}); give a file that save() wrote",
+            value=path,
+        ) from error
+
+
+def _parts(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a `Trajectory` from the arrays and the JSON data of a file."""
     events = [
         EventRecord(time, name, arrays["event_q"][i], *arrays["event_v"][i])
         for i, (time, name) in enumerate(meta["events"])
@@ -140,27 +161,6 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "forces": TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
         "contacts": [_contact(fields) for fields in meta["contacts"]],
     }
-
-
-def _opened(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arrays and the JSON data of a file, or raise `InputError`."""
-    path = file_path("path", path)
-    if not path.is_file():
-        raise InputError(f"path: there is no file {path}", value=path)
-    try:
-        if not zipfile.is_zipfile(path):
-            raise ValueError("not a zip archive")
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        meta = json.loads(str(arrays["meta"]))
-        if meta["format"] != FORMAT:
-            raise ValueError(f"format {meta['format']}")
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"path: {str(path)!r} is not a readable trajectory ({error}); give a file that save() wrote",
-            value=path,
-        ) from error
-    return arrays, meta
 
 
 def _segments(arrays: Mapping[str, Any]) -> list[DenseStep]:
