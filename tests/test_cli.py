@@ -6,6 +6,7 @@ import io
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 import time
@@ -119,6 +120,41 @@ def test_invalid_output_folder_raises_before_computing(
     assert result.exit_code == 1
     assert result.output.startswith("Error: ")
     assert str(tmp_path / "file") in result.output.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("demo", "nosuch"),
+        ("demo", "ur5", "--friction", "-1"),
+        ("run", "below.toml"),
+        ("cost", "--robot", "nosuch"),
+        ("ensemble", "study.toml"),
+    ],
+)
+def test_failed_commands_leave_no_empty_folder(command, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (SCENES / "falling_rod.toml").read_text().replace('urdf = "', f'urdf = "{SCENES}/')
+    (tmp_path / "below.toml").write_text(re.sub(r"(?m)^position = .*$", "position = [0, 0, -1]", text))
+    (tmp_path / "study.toml").write_text(
+        'scene = "falling_rod"\nsamples = 4\ndesign = "nosuch"\n'
+        '[over]\nfriction = { distribution = "uniform" }\n'
+    )
+    (tmp_path / "old").mkdir()
+    files = set(tmp_path.iterdir())
+    for folder in ("new/deep", "old"):
+        assert call(*command, "-o", folder).exit_code == 1
+        assert set(tmp_path.iterdir()) == files
+
+
+def test_report_and_replay_agree_on_the_number_of_impacts(tmp_path: Path) -> None:
+    result = call("run", "falling_rod", "-o", str(tmp_path))
+    rows = pinimpact.Trajectory.load(tmp_path / "trajectory.npz").impacts
+    page = (tmp_path / "replay.html").read_text(encoding="utf-8")
+    motion = json.loads(re.search(r'<script id="motion" type="application/json">(.*?)</script>', page)[1])
+    count = len({(one.time, *one.v_before, *one.v_after) for one in rows})  # both ends of the rod, at times
+    assert len(motion["impacts"]) == count < len(rows)
+    assert f"Impacts: {count}, in {len(rows)} rows" in result.output
 
 
 def test_cost_reports_method_that_reaches_target_error(tmp_path: Path) -> None:

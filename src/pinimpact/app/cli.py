@@ -13,7 +13,7 @@ from .. import __version__
 from ..checks import near_matches
 from ..errors import PinimpactError, SimulationError, UnknownNameError
 from ..tables import write_table
-from .output_folder import make_folder, table_files
+from .output_folder import output_folder, table_files
 from .terminal import INTERRUPTED, plain_errors, print_result, simulating, working
 
 OUT = click.option(
@@ -75,7 +75,7 @@ def demo(
 
     Prints the impact and writes a replay and a hodograph. ROBOT is a name (see `pinimpact robots`) or the
     path of a URDF or MJCF file; the default is panda. A robot with a fixed base swings the frame onto the
-    table, one with a free base falls onto it.
+    table; one with a free base, and an object without joints, falls onto it.
     """
     from ..visual.html_replay import replay
     from ..visual.plots import impact_figure, save_figure
@@ -83,37 +83,36 @@ def demo(
     from .report import impact_facts, impact_report
 
     robot = robot or named or "panda"
-    folder = make_folder(out, DEMO_FILES, force)
-    with working(quiet, "simulating"):
-        shown = run_demo(robot, **how)
-    impact, contact = shown.impact, shown.contact
-    remarks = []
-    if shown.frozen:
-        remarks.append(f"Joints without inertia are fixed: {', '.join(shown.frozen)}.")
-    if shown.turned:
-        x, y, z = (round(float(component), 3) + 0.0 for component in contact.plane.axes[2])
-        remarks.append(
-            f"Normal of the table: ({x:g}, {y:g}, {z:g}); the frame cannot move down in this posture."
+    with output_folder(out, DEMO_FILES, force) as folder:
+        with working(quiet, "simulating"):
+            shown = run_demo(robot, **how)
+        impact, contact = shown.impact, shown.contact
+        remarks = []
+        if shown.frozen:
+            remarks.append(f"Joints without inertia are fixed: {', '.join(shown.frozen)}.")
+        if shown.turned:
+            x, y, z = (round(float(component), 3) + 0.0 for component in contact.plane.axes[2])
+            remarks.append(
+                f"Normal of the table: ({x:g}, {y:g}, {z:g}); the frame cannot move down in this posture."
+            )
+        if shown.stopped is not None:
+            remarks.append(f"The simulation after the impact ended early: {shown.stopped}")
+        coefficients = f"μ = {contact.friction:g}, e = {impact.problem.restitution:g}"
+        title = f"{Path(robot).stem}: {contact.label}, {coefficients}"
+        picture = save_figure(impact_figure(impact.problem, impact.solution, title), folder / DEMO_FILES[0])
+        page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], speed=0.2)
+        print_result(
+            lambda: {
+                "robot": robot,
+                "contact": contact.label,
+                **impact_facts(shown.robot.model, contact, impact),
+                "remarks": remarks,
+                "files": {"hodograph": str(picture), "replay": str(page)},
+            },
+            lambda: impact_report(shown.robot.model, contact, impact, remarks),
+            *(as_json, quiet),
+            {"Hodograph": picture, "Replay (slowed down five times; open in a browser)": page},
         )
-    if shown.stopped is not None:
-        remarks.append(f"The simulation after the impact ended early: {shown.stopped}")
-    title = (
-        f"{Path(robot).stem}: {contact.label}, μ = {contact.friction:g}, e = {impact.problem.restitution:g}"
-    )
-    picture = save_figure(impact_figure(impact.problem, impact.solution, title), folder / DEMO_FILES[0])
-    page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], speed=0.2)
-    print_result(
-        lambda: {
-            "robot": robot,
-            "contact": contact.label,
-            **impact_facts(shown.robot.model, contact, impact),
-            "remarks": remarks,
-            "files": {"hodograph": str(picture), "replay": str(page)},
-        },
-        lambda: impact_report(shown.robot.model, contact, impact, remarks),
-        *(as_json, quiet),
-        {"Hodograph": picture, "Replay (slowed down five times; open in a browser)": page},
-    )
 
 
 @main.command()
@@ -229,28 +228,28 @@ def run(
     sampling = {"period": period, "delay": delay}
     loaded = load_scene(scene, {key: _plain(text) for key, text in sampling.items() if text is not None})
     tables = {} if output is None else table_files(output, force)
-    folder = make_folder(out, RUN_FILES, force)
-    stopped: PinimpactError | None = None
-    try:
-        with simulating(quiet) as progress:
-            trajectory = loaded.run(progress)
-    except SimulationError as error:
-        if error.partial is None:
-            raise
-        trajectory, stopped = error.partial, error
-    files = {what: str(path) for what, path in loaded.write(trajectory, folder)}
-    for rows, file in tables.items():
-        write_table(file, trajectory.columns(rows))
-        files[f"Table of {rows}"] = str(file)
-    print_result(
-        lambda: {**run_facts(trajectory), "files": files},
-        lambda: run_report(trajectory, every),
-        *(as_json, quiet, files),
-    )
-    if stopped is not None:
-        raise stopped
-    if not trajectory.complete:
-        raise SystemExit(INTERRUPTED)
+    with output_folder(out, RUN_FILES, force) as folder:
+        stopped: PinimpactError | None = None
+        try:
+            with simulating(quiet) as progress:
+                trajectory = loaded.run(progress)
+        except SimulationError as error:
+            if error.partial is None:
+                raise
+            trajectory, stopped = error.partial, error
+        files = {what: str(path) for what, path in loaded.write(trajectory, folder)}
+        for rows, file in tables.items():
+            write_table(file, trajectory.columns(rows))
+            files[f"Table of {rows}"] = str(file)
+        print_result(
+            lambda: {**run_facts(trajectory), "files": files},
+            lambda: run_report(trajectory, every),
+            *(as_json, quiet, files),
+        )
+        if stopped is not None:
+            raise stopped
+        if not trajectory.complete:
+            raise SystemExit(INTERRUPTED)
 
 
 @main.command("ensemble")
@@ -277,11 +276,12 @@ def run_ensemble(
     if resume and out is None:
         raise click.UsageError("--resume needs -o, the folder of the study.")
     run_study = load_study(study)
-    folder = make_folder(out, ENSEMBLE_FILES, force=out is not None)  # `ensemble` checks for existing studies
-    with simulating(quiet) as progress:
-        found = run_study(executor=workers, out=folder, resume=resume, progress=progress)
-    page = found.save_summary(folder / "summary.html")
-    print_result(found.facts, found.summary, as_json, quiet, {"Samples": folder, "Summary": page})
+    given = out is not None  # `ensemble` checks for existing studies
+    with output_folder(out, ENSEMBLE_FILES, force=given) as folder:
+        with simulating(quiet) as progress:
+            found = run_study(executor=workers, out=folder, resume=resume, progress=progress)
+        page = found.save_summary(folder / "summary.html")
+        print_result(found.facts, found.summary, as_json, quiet, {"Samples": folder, "Summary": page})
 
 
 @main.command()
@@ -348,25 +348,25 @@ def cost(
 
     for method in methods:  # before anything is compiled or written
         find_method(method)
-    folder = make_folder(out, COST_FILES, force)
-    problems = None
-    if robot is not None:
-        from .demo import run_demo
+    with output_folder(out, COST_FILES, force) as folder:
+        problems = None
+        if robot is not None:
+            from .demo import run_demo
 
-        with working(quiet, "simulating"):
-            problems = {robot: run_demo(robot).impact.problem}
-    with working(quiet, "measuring") as write:
-        report = run_cost(
-            problems, methods or None, time_cap=time_cap, progress=lambda name: write(f"measuring {name}")
-        )
+            with working(quiet, "simulating"):
+                problems = {robot: run_demo(robot).impact.problem}
+        with working(quiet, "measuring") as write:
+            report = run_cost(
+                problems, methods or None, time_cap=time_cap, progress=lambda name: write(f"measuring {name}")
+            )
 
-    def words() -> str:
-        if target is not None:
-            return report.advice(target)
-        return report.table() if every else report.summary()
+        def words() -> str:
+            if target is not None:
+                return report.advice(target)
+            return report.table() if every else report.summary()
 
-    picture, figures = (folder / name for name in COST_FILES)
-    report.plot(picture)
-    report.save(figures)
-    files = {"Plot": picture, "Measurements": figures}
-    print_result(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet, files)
+        picture, figures = (folder / name for name in COST_FILES)
+        report.plot(picture)
+        report.save(figures)
+        files = {"Plot": picture, "Measurements": figures}
+        print_result(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet, files)

@@ -113,7 +113,7 @@ def run_demo(
 
     The configuration and velocity at the impact are chosen, and the motion starts some time before. With a
     fixed base a control that compensates gravity and inertia keeps the joints at constant speed; a free base
-    falls. Limits, damping and dry friction of the joints are ignored.
+    falls, and so does an object without joints. Limits, damping and dry friction of the joints are ignored.
 
     The arguments are the options of the command `demo`. `direction` (3,) and `normal` (3,) are in world axes;
     components of the direction in which the frame cannot move are omitted. The default normal is z or, if the
@@ -122,7 +122,10 @@ def run_demo(
     Raises:
         PinimpactError: An unknown robot, or one that cannot make this impact.
     """
-    robot, frozen = _movable(load_robot(name), name)
+    loaded = load_robot(name)
+    if loaded.model.nv == 0:  # an object without joints falls
+        loaded = load_robot(name, free_flyer=True)
+    robot, frozen = _movable(loaded, name)
     model, body = robot.model, Body(robot)
     coefficients = (
         FRICTION if friction is None else friction,
@@ -161,8 +164,6 @@ def run_demo(
 def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tuple[str, ...]]:
     """Return the robot without the joints that move no inertia, and the names of these joints."""
     model = robot.model
-    if model.nv == 0:
-        raise ModelError(f"robot: {name} has no movable joint, so it cannot strike", value=name)
     idle = sorted(_idle_joints(model, robot.q0))
     if not idle:
         return robot, ()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
@@ -13,8 +14,11 @@ from ..tables import check_table_path
 DEFAULT = Path("out")
 
 
-def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> Path:
-    """Return the output folder, which is created if necessary.
+@contextmanager
+def output_folder(out: Path | None, names: Sequence[str], force: bool = False) -> Iterator[Path]:
+    """Create the output folder of a command if necessary, and yield it.
+
+    If the command fails, folders that were created and are empty are removed.
 
     Args:
         out: The folder; None for "out" or, if that contains files of these names, "out-2" and so on.
@@ -24,17 +28,25 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
     Raises:
         InputError: The folder contains such files already, or cannot be written.
     """
-    if out is None:
-        out = DEFAULT
-        if not force:
-            numbered = itertools.chain([out], (Path(f"{out}-{k}") for k in itertools.count(2)))
-            out = next(folder for folder in numbered if not _taken(folder, names))
-    elif not force and (taken := _taken(out, names)):
+    out = _chosen(out, names, force)
+    if not force and (taken := _taken(out, names)):
         raise InputError(
             f"out: {out} already contains {_listed(taken)}; use --force to overwrite "
             f"{'it' if len(taken) == 1 else 'them'}, or another folder with -o",
             value=str(out),
         )
+    created = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        _make(out)
+        yield out
+    except BaseException:
+        for folder in created:
+            with suppress(OSError):  # it is not empty, or could not be created
+                folder.rmdir()
+        raise
+
+
+def _make(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         probe = out / ".pinimpact"
@@ -45,7 +57,14 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
             f"out: cannot write to the folder {out}: {_reason(out, error)}; choose another with -o",
             value=str(out),
         ) from error
-    return out
+
+
+def _chosen(out: Path | None, names: Sequence[str], force: bool) -> Path:
+    """Return the folder `out`; for None, the first default folder without files of these names."""
+    if out is not None or force:
+        return DEFAULT if out is None else out
+    numbered = itertools.chain([DEFAULT], (Path(f"{DEFAULT}-{k}") for k in itertools.count(2)))
+    return next(folder for folder in numbered if not _taken(folder, names))
 
 
 def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "impacts"], Path]:

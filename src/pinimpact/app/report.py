@@ -17,7 +17,7 @@ from ..contact_space.solution import CAUSES
 from ..robot.contact import Contact
 from ..robot.forest import data_of
 from ..robot.pinocchio_bridge import kinetic_energy
-from ..scene.records import ImpactRecord, group_notes
+from ..scene.records import ImpactRecord, by_impact, group_notes
 from ..scene.trajectory import Trajectory
 from ..status import Flag
 
@@ -113,7 +113,7 @@ def run_report(trajectory: Trajectory, every: bool = False) -> RenderableType:
     shown = None if every else LONGEST
     return Group(
         _columns(
-            f"Impacts: {len(impacts)}" + _cut(impacts, shown),
+            f"Impacts: {_counts(impacts)}" + _cut(impacts, shown),
             ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "energy [J]", "special"),
             [_impact_row(impact) for impact in impacts[:shown]],
         ),
@@ -214,6 +214,13 @@ def _stepped(trajectory: Trajectory, shown: int | None) -> list[RenderableType]:
     ]
     heading = f"Time stepping: {counted(len(stepped), 'interval')}" + _cut(stepped, shown)
     return [_columns(heading, ("from [s]", "to [s]", "step [s]", "error", "reason"), rows)]
+
+
+def _counts(records: Sequence[ImpactRecord]) -> str:
+    """Return the number of impacts, as a replay counts them, and that of their records if it differs."""
+    count = len(by_impact(records))
+    rows = "" if count == len(records) else f", in {len(records)} rows, one for each contact or limit"
+    return f"{count}{rows}"
 
 
 def _cut(rows: Sequence[Any], shown: int | None) -> str:

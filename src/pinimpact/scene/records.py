@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
+from itertools import groupby
 from typing import Any, Protocol
 
 import numpy as np
@@ -311,3 +312,9 @@ class Energy:
     def residual(self) -> Array:
         """(m,) change of the total energy minus all work: zero to the tolerance of the run."""
         return self.total - self.total[0] - sum(self.by_cause().values())
+
+
+def by_impact(records: Sequence[ImpactRecord]) -> list[list[ImpactRecord]]:
+    """Return the records of each impact: several if contacts or joint limits collided simultaneously."""
+    groups = groupby(records, lambda one: id(one if one.group is None else one.group[0]))
+    return [list(group) for _, group in groups]

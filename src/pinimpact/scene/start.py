@@ -61,7 +61,10 @@ def check_start(
             contact = dynamics.contacts[i]
             where = f"frame {contact.frame!r}" if contact.shape is None else f"shape {contact.shape!r}"
             overlap = f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m below its surface"
-            advice = "start with every contact on or above its surface"
+            advice = (
+                "start with every contact on or above its surface; pinimpact.place_in_contact finds such "
+                "configurations"
+            )
         else:
             limit = dynamics.limits[i - count]
             beyond = limit.sign * (limit.bound - state.q[limit.index_q])

@@ -8,7 +8,6 @@ import os
 import webbrowser
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from ..robot.names import frame_id, model_of
 from ..robot.robot_impact import Hit
 from ..robot.solids import Shape
 from ..scene.joint_charts import joint_table
-from ..scene.records import ImpactRecord
+from ..scene.records import ImpactRecord, by_impact
 from ..scene.trajectory import Trajectory
 from .film import FRAMES_PER_SECOND, frame_times, slowed, width_of_slowness
 from .impact_marks import ImpactMark, impact_mark
@@ -204,12 +203,7 @@ def _motion_page(
     every = _contacts(model, trajectory.contacts if given is None else given)
     paired = [contact for contact in every if contact.pair is not None]
     contacts = contacts_to_draw(trajectory, [contact for contact in every if contact.pair is None])
-    together = [
-        list(records)
-        for _, records in groupby(
-            trajectory.impacts, lambda impact: id(impact if impact.group is None else impact.group[0])
-        )
-    ]
+    together = by_impact(trajectory.impacts)
     absorbed = [-sum(float(one.solution.work.compression) for one in records) for records in together]
     slow = slowed(absorbed)
     moments = [records[0].time for records in together]
