@@ -181,6 +181,23 @@ def test_jax_maps_one_argument_over_rows_of_another(count):
         np.testing.assert_array_equal(jax.vmap(mapped)(friction), jnp.stack([mapped(mu) for mu in friction]))
 
 
+@pytest.mark.skipif(jax is None, reason="jax is not installed")
+@pytest.mark.parametrize("direction", ["jacfwd", "jacrev"])
+def test_derivatives_by_one_argument_where_others_do_not_exist(direction):
+    """Slip begins here: derivatives by v_t, W and μ do not exist, and v₃⁺ = −e v₃° by Poisson's law."""
+    w = np.array([[2.0, 0.0, 0.9], [0.0, 2.0, 0.0], [0.9, 0.0, 1.5]])
+    of = lambda v, mu, e: _functions("jax").solve_impacts(w, v, mu, e)[0][2]  # noqa: E731
+    by = [getattr(jax, direction)(of, k)(jnp.array([0.0, 0.0, -1.0]), 0.1, 0.5) for k in range(3)]
+    assert np.isnan(by[0]).any()
+    assert by[2] == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.skipif(jax is None, reason="jax is not installed")
+def test_whole_numbers_are_converted():
+    one = _functions("jax").solve_impacts(np.eye(3, dtype=int), [1, 0, -2], 1, 0)[0]
+    np.testing.assert_array_equal(one, _functions("jax").solve_impacts(np.eye(3), [1.0, 0, -2], 1.0, 0.0)[0])
+
+
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_rows_without_solution_are_nan_and_do_not_affect_others(library):
     functions = _functions(library)
@@ -223,6 +240,8 @@ def test_bad_input_is_named(library, quadruped):
         functions.solve_impacts(w, convert(v, dtype=single), mu, e)
     with pytest.raises(InputError, match=r"q: shape \(3,\) given"):
         functions.impact(model, data, np.zeros(3), np.zeros(model.nv), Contact(foot, Plane()))
+    with pytest.raises(InputError, match=r"leading shapes delassus \(2,\), velocity \(5,\), friction"):
+        functions.solve_impacts(w, np.zeros((5, 3)), mu, e)
     with pytest.raises(pinimpact.UnknownNameError, match="law"):
         functions.solve_impacts(w, v, mu, e, law="elastic")
 

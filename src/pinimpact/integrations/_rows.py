@@ -40,7 +40,7 @@ class ContactRows:
 
     def outputs(self, shapes: Sequence[tuple[int, ...]]) -> tuple[int, int]:
         """Return the lengths of v⁺ and P; raise `InputError` for wrong shapes of W and v°."""
-        _check_shapes(self.names, shapes, ((3, 3), (3,)))
+        _check_shapes(self.names, shapes, ((3, 3), (3,), (), ()))
         return 3, 3
 
     def values(self, *given: Array) -> tuple[Array, ...]:
@@ -91,7 +91,7 @@ class RobotRows:
 
     def outputs(self, shapes: Sequence[tuple[int, ...]]) -> tuple[int]:
         """Return the length of v⁺; raise `InputError` for wrong lengths of q and v."""
-        _check_shapes(self.names, shapes, ((self.model.nq,), (self.model.nv,)))
+        _check_shapes(self.names, shapes, ((self.model.nq,), (self.model.nv,), (), ()))
         return (self.model.nv,)
 
     def values(self, *given: Array) -> tuple[Array, ...]:
@@ -192,10 +192,17 @@ class RowFunctions(Generic[Of]):
 def _check_shapes(
     names: Sequence[str], shapes: Sequence[tuple[int, ...]], expected: Sequence[tuple[int, ...]]
 ) -> None:
-    for name, shape, own in zip(names, shapes, expected, strict=False):
-        if tuple(shape[-len(own) :]) != own:
+    leads = []
+    for name, shape, own in zip(names, shapes, expected, strict=True):
+        leads.append(tuple(shape[: len(shape) - len(own)]))
+        if tuple(shape[len(leads[-1]) :]) != own:
             text = ", ".join(map(str, own))
             raise InputError(f"{name}: shape {tuple(shape)} given, (..., {text}) expected", value=shape)
+    try:
+        np.broadcast_shapes(*leads)
+    except ValueError:
+        given = ", ".join(f"{name} {lead}" for name, lead in zip(names, leads, strict=True))
+        raise InputError(f"{names[0]}: leading shapes {given} given, a common one expected") from None
 
 
 def _rows(given: Sequence[Array], axes: Sequence[int]) -> tuple[tuple[int, ...], list[Array]]:

@@ -15,6 +15,7 @@ from ._rows import ContactRows, RobotRows, RowFunctions, refuse_single_precision
 try:
     import jax
     import jax.numpy as jnp
+    from jax.custom_derivatives import SymbolicZero
 except ImportError as error:
     raise InputError("jax: not installed; pip install 'pinimpact[jax]'", value=None) from error
 
@@ -22,7 +23,7 @@ REMEDY = 'call jax.config.update("jax_enable_x64", True) first'
 
 
 def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
-    arrays = tuple(map(jnp.asarray, given))
+    arrays = tuple(map(_array, given))
     for name, array in zip(rows.names, arrays, strict=True):
         refuse_single_precision(array.dtype, name, REMEDY)
     sizes = rows.outputs([array.shape for array in arrays])
@@ -41,7 +42,6 @@ def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
         outputs = shaped(*((size,) for size in sizes))
         return jax.pure_callback(rows.values, outputs, *arrays, vmap_method="broadcast_all")
 
-    @call.defjvp
     def call_with_slopes(primals: Any, tangents: Any) -> tuple[Any, Any]:
         own = [array.shape[array.ndim - n :] for array, n in zip(primals, rows.inputs, strict=True)]
         shapes = [(size, *shape) for size in sizes for shape in own]
@@ -53,16 +53,23 @@ def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
         )
         values, slopes = found[: len(sizes)], found[len(sizes) :]
         count = len(primals)
-        changes = tuple(
-            sum(
-                _product(slope, tangent, n)
-                for slope, tangent, n in zip(slopes[k : k + count], tangents, rows.inputs, strict=True)
-            )
-            for k in range(0, len(slopes), count)
-        )
-        return values, changes
+        changes = []
+        for value, k in zip(values, range(0, len(slopes), count), strict=True):
+            change = jnp.zeros_like(value)
+            for slope, tangent, n in zip(slopes[k : k + count], tangents, rows.inputs, strict=True):
+                if not isinstance(tangent, SymbolicZero):  # else NaN by another argument would be added
+                    change += _product(slope, tangent, n)
+            changes.append(change)
+        return values, tuple(changes)
 
+    call.defjvp(call_with_slopes, symbolic_zeros=True)
     return call(*arrays)
+
+
+def _array(value: Any) -> jax.Array:
+    """Return an array; whole numbers become floating-point numbers."""
+    array = jnp.asarray(value)
+    return array.astype(float) if jnp.issubdtype(array.dtype, jnp.integer) else array
 
 
 def _product(slope: Any, change: Any, axes: int) -> Any:
