@@ -197,6 +197,60 @@ def test_robots_without_distinct_prefixes_raise() -> None:
         assemble([arm, arm])
 
 
+ROTOR = """<mujoco model="arm"><option gravity="0 0 -1.62"/><worldbody><body name="a" pos="0 0 1">
+<joint name="j" type="hinge" axis="0 1 0" armature="0.3" damping="0.2" frictionloss="0.1"/>
+<inertial pos="0 0 -0.5" mass="1" diaginertia=".1 .1 .1"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("placed", ['prefix = "own "', "position = [0, 0, 1]", 'rpy = [0, 0, "90 deg"]'])
+def test_placed_robot_is_the_robot(placed: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ROTOR)
+    (tmp_path / "scene.toml").write_text(f'duration = 0.1\n[[robot]]\nurdf = "arm.xml"\n{placed}\n')
+    model, own = (
+        load_scene(tmp_path / "scene.toml").scene.model,
+        pinimpact.load_robot(tmp_path / "arm.xml").model,
+    )
+    assert own.armature == [0.3]
+    for name in ("armature", "damping", "friction", "lowerPositionLimit", "upperPositionLimit"):
+        assert np.array_equal(getattr(model, name), getattr(own, name))
+    assert np.array_equal(model.gravity.linear, [0.0, 0.0, -1.62])
+
+
+def test_robots_with_different_gravity(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ROTOR)
+    robots = '[[robot]]\nurdf = "arm.xml"\n[[robot]]\nname = "ur5"\nprefix = "ur5 "\n'
+    file = tmp_path / "scene.toml"
+    file.write_text(f"duration = 0.1\n{robots}")
+    with pytest.raises(pinimpact.InputError, match=r"gravity \(0.0, 0.0, -1.62\) and \(0.0, 0.0, -9.81\)"):
+        load_scene(file)
+    file.write_text(f"duration = 0.1\ngravity = [0, 0, -3]\n{robots}")
+    model = load_scene(file).scene.model
+    assert np.array_equal(model.gravity.linear, [0.0, 0.0, -3.0])
+    assert np.array_equal(model.armature, [0.3, 0, 0, 0, 0, 0, 0])
+
+
+def test_velocity_of_free_base_is_in_world_axes(tmp_path: Path) -> None:
+    ball = f'[[robot]]\nurdf = "{SCENES / "ball.urdf"}"\nfree_flyer = true\n'
+    moving = "velocity = [1, 2, 3]\nangular_velocity = [4, 5, 6]\n"
+    turn = pin.Quaternion(pin.exp3(np.array([0.4, -1.0, 2.0]))).coeffs().tolist()
+    start = f"[start]\nq = {[0, 0, 0, 0, 0, 0, 1, 0.1, 0.2, 0.3, *turn]}\n"
+    first = ball + 'prefix = "first "\n'
+    file = tmp_path / "scene.toml"
+    file.write_text(f'duration = 0.1\n{first}{ball}prefix = "second "\n{moving}{start}')
+    loaded = load_scene(file)
+    data = loaded.scene.model.createData()
+    pin.forwardKinematics(loaded.scene.model, data, loaded.q, loaded.v)
+    velocity = pin.getVelocity(loaded.scene.model, data, 2, pin.LOCAL_WORLD_ALIGNED)
+    assert velocity.vector == pytest.approx([1, 2, 3, 4, 5, 6], abs=1e-12)
+    assert np.array_equal(loaded.v[:6], np.zeros(6))
+    pose = "position = [0, 0, 1]\n"
+    rest = f"[start]\nv = {[0.0] * 6}\n"
+    for base, given, said in ((pose, "[start]\nq = [0, 0, 0, 0, 0, 0, 1]\n", "q"), (moving, rest, "v")):
+        file.write_text(f"duration = 0.1\n{ball}{base}{given}")
+        with pytest.raises(pinimpact.InputError, match=rf"start\.{said}: given beside the .* of robot\[0\]"):
+            load_scene(file)
+
+
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
 def test_examples_load_and_start_without_penetration(path: Path) -> None:
     loaded = load_scene(path)

@@ -175,7 +175,10 @@ class ContactTable(Table):
 
 
 class StartTable(Table):
-    """``[start]``: initial state, as vectors or by joint name; default: that of the robot, at rest."""
+    """``[start]``: initial state, as vectors or by joint name; default: that of the robot, at rest.
+
+    ``q`` replaces the pose of a free base, ``v`` its velocity: give one of the two.
+    """
 
     q: list[float] | None = None
     """Configuration, in Pinocchio's order [m, rad]."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +22,15 @@ from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import SCHEMES, simulate
 from ..scene.trajectory import Trajectory
-from .scene_file import ContactTable, ControlTable, SceneFile, StartTable, bundled_scenes, read_scene_file
+from .scene_file import (
+    ContactTable,
+    ControlTable,
+    RobotTable,
+    SceneFile,
+    StartTable,
+    bundled_scenes,
+    read_scene_file,
+)
 from .units import quantity
 
 
@@ -108,11 +116,9 @@ def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> Lo
     path = bundled_scenes().get(str(path), Path(path))
     file = read_scene_file(path, control)
     choice("scheme", file.scheme, SCHEMES, "a scheme")
-    robot, v0 = _robots(file, path.parent)
+    robot, bases = _robots(file, path.parent)
     model = robot.model
-    if file.gravity is not None:
-        model.gravity.linear = np.array(file.gravity)
-    q, v = _start(file.start, robot, v0)
+    q, v = _start(file.start, robot, bases)
     contacts, linked = _contacts(file)
     scene = Scene(
         robot,
@@ -161,24 +167,35 @@ def _law(table: ControlTable, model: pin.Model, start: Array) -> JointPD | Joint
     return JointControl(table, model, start)
 
 
-def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
-    """Return all robots as one, and the initial velocity (nv,) from those of the bases."""
-    parts, speeds = [], []
+class _Base(NamedTuple):
+    """A free base, with the places of its coordinates in q and v."""
+
+    key: str
+    table: RobotTable
+    in_q: int
+    in_v: int
+
+
+def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, list[_Base]]:
+    """Return all robots as one, and their free bases."""
+    parts: list[Placed] = []
+    bases = []
     for index, table in enumerate(file.robot):
         key = f"robot[{index}]"
         if (table.name is None) == (table.urdf is None):
             raise InputError(f"{key}: give either name = ... or urdf = ...", value=table.name)
         source = table.name if table.name is not None else folder / str(table.urdf)
         robot = load_robot(source, table.free_flyer)
+        if file.gravity is not None:
+            robot.model.gravity.linear = np.array(file.gravity)
         rotation = pin.rpy.rpyToMatrix(*(table.rpy or (0.0, 0.0, 0.0)))
         pose = pin.SE3(rotation, np.array(table.position or (0.0, 0.0, 0.0)))
-        v = np.zeros(robot.model.nv)
         if robot.model.njoints > 1 and robot.model.joints[1].shortname() == "JointModelFreeFlyer":
             if table.position or table.rpy:
                 robot.q0[:7] = pin.SE3ToXYZQUAT(pose)
-            inverse = pin.XYZQUATToSE3(robot.q0[:7]).rotation.T
-            v[:6] = [*(inverse @ table.velocity), *(inverse @ table.angular_velocity)]
             pose = pin.SE3.Identity()
+            places = (sum(getattr(part.robot.model, size) for part in parts) for size in ("nq", "nv"))
+            bases.append(_Base(key, table, *places))
         elif any((*table.velocity, *table.angular_velocity)):
             raise InputError(
                 f"{key}.velocity: the base of {source} is fixed; set free_flyer = true, or remove "
@@ -186,17 +203,28 @@ def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
                 value=table.velocity,
             )
         parts.append(Placed(robot, table.prefix, pose))
-        speeds.append(v)
-    return assemble(parts), np.concatenate(speeds)
+    return assemble(parts), bases
 
 
-def _start(start: StartTable, robot: pin.RobotWrapper, v0: Array) -> tuple[Array, Array]:
+def _start(start: StartTable, robot: pin.RobotWrapper, bases: Sequence[_Base]) -> tuple[Array, Array]:
     model = robot.model
     q = np.array(robot.q0 if start.q is None else start.q, dtype=float)
-    v = np.array(v0 if start.v is None else start.v, dtype=float)
+    v = np.array(np.zeros(model.nv) if start.v is None else start.v, dtype=float)
     for key, vector, size in (("start.q", q, model.nq), ("start.v", v, model.nv)):
         if vector.shape != (size,):
             raise InputError(f"{key}: {len(vector)} numbers given, {size} expected", value=vector)
+    for key, table, in_q, in_v in bases:
+        speeds = *table.velocity, *table.angular_velocity
+        for other, given in (("q", table.position or table.rpy), ("v", any(speeds))):
+            if given and getattr(start, other) is not None:
+                what = "velocity" if other == "v" else "position or rpy"
+                raise InputError(
+                    f"start.{other}: given beside the {what} of {key}, which it would replace; remove one",
+                    value=getattr(start, other),
+                )
+        if start.v is None:
+            inverse = pin.XYZQUATToSE3(q[in_q : in_q + 7]).rotation.T
+            v[in_v : in_v + 6] = [*(inverse @ table.velocity), *(inverse @ table.angular_velocity)]
     for name, value in start.joints.items():
         joint, prismatic = _single_joint(model, "start.joints", name)
         number = _quantity(f"start.joints.{name}", value, "length" if prismatic else "angle")

@@ -22,12 +22,22 @@ class Placed:
 
 
 def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
-    """Return one robot that consists of all parts, which need different prefixes; its ``q0`` of theirs."""
+    """Return one robot that consists of all parts, with their ``q0``.
+
+    They need different prefixes and the same gravity.
+    """
     prefixes = [part.prefix for part in parts]
     if not parts or len(set(prefixes)) < len(prefixes):
         raise InputError(
             f"robot: {len(parts)} robots with the prefixes {prefixes}; give each its own prefix",
             value=prefixes,
+        )
+    gravities = [tuple(np.array(part.robot.model.gravity.linear).tolist()) for part in parts]
+    if len(set(gravities)) > 1:
+        raise InputError(
+            f"robot: robots with gravity {' and '.join(map(str, dict.fromkeys(gravities)))} given; give all "
+            "of them the same, or set that of the scene (gravity = [...])",
+            value=gravities,
         )
     if len(parts) == 1 and not parts[0].prefix and parts[0].placement.isIdentity():
         return parts[0].robot
@@ -38,6 +48,9 @@ def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
         _, visual = pin.appendModel(model, added, visual, shapes[1], 0, part.placement)
         model, collision = pin.appendModel(model, added, collision, shapes[0], 0, part.placement)
     model.name = ", ".join(part.prefix + part.robot.model.name for part in parts)
+    # appendModel leaves these as they were
+    model.armature = np.concatenate([part.robot.model.armature for part in parts])
+    model.gravity = parts[0].robot.model.gravity
     whole = _Assembled(model, collision, visual)
     whole.q0 = np.concatenate([part.robot.q0 for part in parts])
     return whole
