@@ -547,3 +547,11 @@ def test_gallery_draws_the_plots_of_the_page() -> None:
     assert all((root / "docs" / "figures" / name).is_file() for name in shown)
     for name in plots.__all__:
         assert name in text or name.endswith("_figure")
+
+
+@pytest.mark.parametrize("start", [1.0, 0.0, -1e300])
+def test_histogram_of_numbers_that_differ_by_rounding(start: float) -> None:
+    values = start + np.spacing(start) * np.array([0, 1, 1, 2, 5, 5, 5])
+    (axes,) = plots.distributions({"x": values}).axes
+    assert sum(bar.get_height() for bar in axes.patches) == len(values)
+    assert len(axes.patches) > 1

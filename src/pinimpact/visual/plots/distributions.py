@@ -48,7 +48,9 @@ def _histogram(ax: Axes, values: NDArray[Any]) -> None:
     ax.set_yticks([])
     if len(drawn) == 0:
         return
-    ax.hist(drawn, bins=min(BARS, len(np.unique(drawn))), color=FLOW)
+    with np.errstate(over="ignore"):
+        steps = float(np.ptp(drawn) / np.spacing(np.abs(drawn).max()))  # numbers that a double can represent
+    ax.hist(drawn, bins=int(min(BARS, len(np.unique(drawn)), max(steps, 1.0))), color=FLOW)
     quantiles = np.quantile(values, (0.05, 0.5, 0.95), method="inverted_cdf")
     for value, style in zip(quantiles, (":", "-", ":"), strict=True):
         if np.isfinite(value):
