@@ -117,6 +117,33 @@ def test_locking_all_joints_makes_approach_unstoppable(rng):
         pinimpact.impact(model, data, q, v, contact, locked=list(model.names)[1:])
 
 
+@pytest.mark.parametrize(
+    ("frame", "options"),
+    [
+        ("tool0", {"locked": list(range(1, 7))}),
+        ("tool0", {"stiffening": 1.0}),
+        ("base_link", {"record": True}),
+    ],
+)
+def test_separating_point_that_no_impulse_moves_keeps_its_velocity(frame, options, rng):
+    # the factor of W = 0 is empty; `v` lacked its last seven entries, and all other results were shifted
+    model, data = cases.load("ur5")
+    q, v = pin.neutral(model), rng.normal(size=6)
+    geometry = contact_geometry(model, data, q, pinimpact.Contact(frame, pinimpact.Plane()))
+    velocity = geometry.velocity(v)
+    normal = (0, 0, 1) if velocity[2] >= 0.0 else (0, 0, -1)
+    plane = pinimpact.Plane(normal=normal, velocity=(0.3, 0.2, 0.0))
+    hit = pinimpact.impact(model, data, q, v, pinimpact.Contact(frame, plane, 0.5, 0.5), **options)
+    assert hit.v.tolist() == v.tolist()
+    assert not hit.impulse_world.any()
+    assert hit.axes[2] == pytest.approx(normal, abs=0.0)
+    moves = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)[:3] @ v
+    expected = hit.axes @ (moves - plane.velocity)
+    assert hit.problem.velocity == pytest.approx(expected, abs=1e-13)
+    assert hit.solution.velocity == pytest.approx(expected, abs=1e-13)
+    assert hit.solution.status == pinimpact.Status.NO_IMPACT
+
+
 def test_locked_joint_without_inertia():
     model, data = cases.load("romeo")
     massless = [name for name in model.names if name[1:5] in ("Hand", "Thum", "Fing")]

@@ -374,6 +374,10 @@ def impact_in_steps(
     solution = solve_impact(problem, method=asked.method, record=asked.record, **asked.more)
     held_impulses = matrices.held_response @ solution.impulse
     warn_of_pulls(matrices.held, held, held_impulses, solution.impulse)
+    factor = np.zeros(FACTOR)
+    if matrices.factor is not None:
+        known = contact_inputs(problem)[13]
+        factor[: len(known)] = known  # empty for W = 0
     numbers = np.concatenate(
         [
             v + matrices.response @ solution.impulse,
@@ -384,7 +388,7 @@ def impact_in_steps(
             solution.velocity,
             solution.impulse,
             [solution.compression_impulse, scale],
-            contact_inputs(problem)[13] if matrices.factor is not None else np.zeros(FACTOR),
+            factor,
         ]
     )
     ended = (solution.status, solution.flags, solution.iterations)
