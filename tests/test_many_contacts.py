@@ -556,6 +556,32 @@ def test_uncoupled_impacts_are_independent():
     assert both == pytest.approx(np.concatenate([one, other]), abs=1e-9)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize(
+    ("mu", "u"), [(0.3, (0, 0, -1, 0.7, 0, 0)), (0.3, (1, 0.2, -1, 0, 0, 2)), (0.0, (0, 0, -1, 0, 0, 0))]
+)
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_contacts_listed_several_times_are_one_contact(e, mu, u, exponent):
+    # without restitution, twins that are held shared their force unevenly and separated one after the other
+    corners = [(x, y, -0.25) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    rows = [np.hstack([np.eye(3), -pin.skew(np.array(corner))]) for corner in corners]
+    inverse, stiffness = np.diag([1.0, 1.0, 1.0, 9.6, 9.6, 6.0]), np.array([1.0, 2.0, 0.5, 3.0])
+    options = {"friction": mu, "restitution": e, "exponent": exponent, "record": True}
+    once, after = collide(np.vstack(rows), inverse, np.array(u, float), stiffness=stiffness, **options)
+    order = np.random.default_rng(0).permutation(12)
+    of, part = np.tile(np.arange(4), 3)[order], np.repeat([0.5, 0.3, 0.2], 4)[order]
+    jacobian = np.vstack([rows[k] for k in of])
+    found, other = collide(jacobian, inverse, np.array(u, float), stiffness=part * stiffness[of], **options)
+    assert other == pytest.approx(after, abs=1e-12)
+    assert found.velocity == pytest.approx(once.velocity[of], abs=1e-12)
+    assert found.impulse == pytest.approx(part[:, None] * once.impulse[of], abs=1e-12)
+    assert found.work.total == pytest.approx(part * once.work.total[of], abs=1e-12)
+    assert found.compression_impulse == pytest.approx(part * once.compression_impulse[of], abs=1e-12)
+    assert found.path.impulse[-1] == pytest.approx(found.impulse, abs=1e-12)
+    assert found.flags == once.flags
+    assert found.statuses == tuple(once.statuses[k] for k in of)
+
+
 @pytest.mark.parametrize("policy", ["propagate", "sequence", "together"])
 @pytest.mark.parametrize("e", [0.0, 0.5])
 def test_uncoupled_contacts_of_any_speed_and_mass_change_no_bit(policy, e):

@@ -64,6 +64,8 @@ def coupled_groups(delassus: Array) -> list[Integers]:
     n = len(delassus) // 3
     coupled = (delassus != 0.0).reshape(n, 3, n, 3).any(axis=(1, 3))
     coupled |= coupled.T
+    if coupled[0].all():
+        return [np.arange(n)]
     left, groups = np.ones(n, dtype=bool), []
     while left.any():
         group = np.zeros(n, dtype=bool)

@@ -23,6 +23,7 @@ from .many_solution import ManySolution
 from .methods import check_options
 from .one_contact import solve_inputs
 from .problem import ImpactProblem
+from .repeated import each_once, first_equal
 from .solution import Segment
 from .uncoupled import by_groups
 from .waves import RTOL, kernels_of_waves, propagate_waves
@@ -102,7 +103,7 @@ def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], ve
     if len(groups) > 1:
         return any(_jumps(simultaneous, inputs.part(at), options, velocity[at]) for at in groups)
     run = find_policy(simultaneous).run
-    direction = np.random.default_rng(0).uniform(-1.0, 1.0, inputs.velocity.shape)
+    direction = np.random.default_rng(0).uniform(-1.0, 1.0, inputs.velocity.shape)[first_equal(inputs)]
     size = float(np.abs(inputs.velocity).max(initial=0.0))
     for change in NEARBY:
         scales = 1.0 + change * direction
@@ -210,7 +211,7 @@ def without_end(count: int, last: Sequence[str]) -> str:
 POLICIES: Mapping[str, Policy] = MappingProxyType(
     {
         "propagate": Policy(
-            by_groups(propagate_waves),
+            by_groups(each_once(propagate_waves)),
             kernels_of_waves,
             "the LZB model: impulses propagate through stiff contacts on an internal clock, with "
             "the energetic law; unique, symmetric, creates no energy; depends on ratios of "
