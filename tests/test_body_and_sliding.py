@@ -61,6 +61,50 @@ def test_fit_of_centre_of_mass_alone() -> None:
     assert fit.x == pytest.approx([0.004, -0.003, 0.006], abs=1e-8)
 
 
+def framed(scene: Scene) -> Scene:
+    """Return the same scene, with contacts at frames of their own."""
+    model, contacts = scene.model.copy(), []
+    for k, one in enumerate(scene.contacts):
+        turn, offset = Rotation.from_rotvec([k, 1.0, -0.5]).as_matrix(), np.array([1e-3, 2e-3, -3e-3])
+        place = pin.SE3(turn, np.array(one.offset) - turn @ offset)
+        model.addFrame(pin.Frame(f"corner {k}", 1, place, pin.OP_FRAME))
+        contacts.append(replace(one, frame=f"corner {k}", offset=tuple(offset), name=one.label))
+    return Scene(model, contacts)
+
+
+def test_fit_of_body_does_not_depend_on_the_frames_of_contacts() -> None:
+    exact = struck_boxes(np.random.default_rng(0))
+    fits = [
+        studies.identify_body(replace(exact, scene=scene)) for scene in (exact.scene, framed(exact.scene))
+    ]
+    assert fits[1].x == pytest.approx(fits[0].x, abs=1e-9)
+
+
+def test_centre_of_mass_and_inertia_from_impacts_on_a_rim() -> None:
+    model, rng = pin.Model(), np.random.default_rng(4)
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "coin")
+    truth = [0.002, -0.001, 0.003, 4e-3, 5e-3, 7e-3, 0, 0, 0]
+    mass = 0.3
+    inertia = pin.Inertia(mass, np.array(truth[:3]), mass * np.diag(truth[3:6]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addJointFrame(joint)
+    rim = pinimpact.Contact("coin", pinimpact.Plane(), 0.3, 0.4, rim=0.1, axis=(0.0, 0.1, 1.0))
+    data, states = model.createData(), []
+    for _ in range(30):
+        rotation = Rotation.random(rng=rng)
+        q = np.r_[0, 0, 0, rotation.as_quat()]
+        v = np.r_[rotation.inv().apply([*rng.normal(size=2), -2.0]), 3.0 * rng.normal(size=3)]
+        if pinimpact.contact_matrices(model, data, q, rim).velocity(v)[2] > 0.0:
+            v *= -1.0
+        states.append((q, v, pinimpact.impact(model, data, q, v, rim).v))
+    q, v, after = (np.array(column) for column in zip(*states, strict=True))
+    guess = model.copy()
+    guess.inertias[1] = pin.Inertia(mass, np.zeros(3), mass * np.diag([5e-3, 5e-3, 5e-3]))
+    names = np.full(len(q), rim.label)
+    found = studies.FoundImpacts(q, v, after, names, np.arange(len(q)), scene=Scene(guess, [rim]))
+    assert studies.identify_body(found, ("com", "inertia")).x == pytest.approx(truth, abs=1e-8)
+
+
 def test_standard_errors_of_centre_of_mass() -> None:
     rng = np.random.default_rng(2)
     exact, scores = struck_boxes(rng), []
@@ -99,6 +143,7 @@ def test_sliding_friction_and_gravity_of_simulated_slides() -> None:
     assert np.array(applied.model.gravity.linear) == pytest.approx([0.15, -0.1, -9.8], abs=0.05)
     assert applied.contacts[0].sliding_friction == fit.x[0]
     assert applied.contacts[0].friction == 0.2
+    assert studies.identify_sliding(motions, framed(level)).x == pytest.approx(fit.x, abs=1e-9)
     alone = studies.identify_sliding(motions, scene, ("sliding_friction",))
     assert alone.x == pytest.approx([0.3], abs=2e-3)
 
@@ -157,6 +202,9 @@ def test_bad_input_is_named() -> None:
         studies.identify_sliding([still], Scene(box_scene().model, box_scene().contacts[:2]))
     with pytest.raises(InputError, match="rollouts is for one free body"):
         studies.rollouts(Scene(load_robot("panda")), [still])
+    rims = [replace(one, rim=0.01, radius=0.0) for one in box_scene().contacts]
+    with pytest.raises(InputError, match=r"scene: the rim '.*' has no fixed point"):
+        studies.identify_sliding([still], Scene(box_scene().model, rims))
     rotated = box_scene().model.copy()
     rotated.jointPlacements[1] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.5 * np.pi), np.zeros(3))
     with pytest.raises(InputError, match="is rotated relative to the world; identify_sliding needs"):

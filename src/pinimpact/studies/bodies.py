@@ -86,8 +86,11 @@ class _Balance:
         places = [contact_geometry(scene.model, data, q, one) for q, one in zip(found.q, mine, strict=True)]
         rotations = [pin.XYZQUATToSE3(q).rotation for q in found.q]
         self.normal = np.array([R.T @ place.axes[2] for R, place in zip(rotations, places, strict=True)])
-        self.offset = np.array([one.offset for one in mine])
         self.radius = np.array([one.radius for one in mine])
+        arms = np.array(
+            [R.T @ (at.point - q[:3]) for R, at, q in zip(rotations, places, found.q, strict=True)]
+        )
+        self.offset = arms + self.radius[:, None] * self.normal
         change = found.v_after - found.v_before
         self.dv, self.dw = change[:, :3], change[:, 3:]
         # weighs angular momentum as kinetic energy

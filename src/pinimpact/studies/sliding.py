@@ -15,6 +15,7 @@ from ..checks import above_zero, as_tuple, choice
 from ..errors import InputError
 from ..geometry.plane import Plane
 from ..robot.matrices import contact_geometry
+from ..robot.names import frame_id
 from ..scene.scene import Scene
 from ..scene.switched_off import altered
 from .estimate import Identified, fit, group_numbers, set_coefficient
@@ -128,6 +129,19 @@ def _axes(scene: Scene) -> Array:
     return contact_geometry(scene.model, data, q, scene.contacts[0]).axes
 
 
+def _points(scene: Scene) -> Array:
+    """Return the contact points (k, 3), or the centres of spheres, in the axes of the body."""
+    for contact in scene.contacts:
+        if contact.rim > 0.0:
+            raise InputError(
+                f"scene: the rim {contact.label!r} has no fixed point; give points of it by rim_points=",
+                value=scene,
+            )
+    frames = [scene.model.frames[frame_id(scene.model, contact.frame)] for contact in scene.contacts]
+    pairs = zip(frames, scene.contacts, strict=True)
+    return np.array([frame.placement.act(np.array(contact.offset)) for frame, contact in pairs])
+
+
 def _slides(
     scene: Scene, motion: Motion, body: Body, axes: Array, closed: float, slowest: float, number: int
 ) -> list[_Slide]:
@@ -135,7 +149,7 @@ def _slides(
     rotation, t = Rotation.from_quat(motion.q[:, 3:]), motion.t
     path = (motion.q[:, :3] + rotation.apply(body.lever) - motion.q[0, :3]) @ axes.T
     near = gaps(scene, motion.q)
-    arms = np.array([contact.offset for contact in scene.contacts]) - body.lever
+    arms = _points(scene) - body.lever
     velocity = np.gradient(path, t, axis=0)
     spin = (rotation[1:] * rotation[:-1].inv()).as_rotvec() / np.diff(t)[:, None] @ axes.T
     rocking = np.linalg.norm(arms, axis=1).max() * np.hypot(*np.vstack([spin, spin[-1:]]).T[:2])
