@@ -223,6 +223,19 @@ def test_files_of_earlier_runs_are_not_overwritten(tmp_path: Path, monkeypatch) 
     assert set(RUN_FILES) == {path.name for path in (tmp_path / "out-2").iterdir()}
 
 
+def test_forced_run_leaves_no_files_of_the_earlier_one(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert call("run", "falling_rod", "-o", str(out)).exit_code == 0
+    assert {path.name for path in out.iterdir()} == set(RUN_FILES)
+    text = (SCENES / "falling_rod.toml").read_text().replace('urdf = "', f'urdf = "{SCENES}/')
+    short = tmp_path / "short.toml"
+    short.write_text(re.sub(r"(?m)^duration = .*$", "duration = 0.01", text))
+    result = call("run", str(short), "-o", str(out), "--force", "--json")
+    files = json.loads(result.output)["files"].values()
+    assert {path.name for path in out.iterdir()} == {Path(path).name for path in files}
+    assert not (out / "impact.png").exists()
+
+
 def test_run_as_json(tmp_path: Path) -> None:
     result = call("run", str(SCENES / "ball_on_conveyor.toml"), "--json", "-o", str(tmp_path))
     assert result.exit_code == 0, result.output

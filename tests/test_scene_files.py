@@ -216,6 +216,16 @@ def test_placed_robot_is_the_robot(placed: str, tmp_path: Path) -> None:
     assert np.array_equal(model.gravity.linear, [0.0, 0.0, -1.62])
 
 
+def test_compensated_arm_stays_at_rest_without_gravity(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    for without in ("", 'without = ["gravity"]\n'):
+        file.write_text(
+            f'duration = 0.1\n{without}[control]\ncancel_gravity = true\n[[robot]]\nname = "ur5"\n'
+        )
+        run = load_scene(file).run()
+        assert np.abs(run.q[-1] - run.q[0]).max() < 1e-12
+
+
 def test_robots_with_different_gravity(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ROTOR)
     robots = '[[robot]]\nurdf = "arm.xml"\n[[robot]]\nname = "ur5"\nprefix = "ur5 "\n'

@@ -238,6 +238,8 @@ def run(
                 raise
             trajectory, stopped = error.partial, error
         files = {what: str(path) for what, path in loaded.write(trajectory, folder)}
+        for name in set(RUN_FILES) - {Path(path).name for path in files.values()}:
+            (folder / name).unlink(missing_ok=True)  # of an earlier run, with --force
         for rows, file in tables.items():
             write_table(file, trajectory.columns(rows))
             files[f"Table of {rows}"] = str(file)

@@ -21,6 +21,7 @@ from ..robot.merging import Placed, assemble
 from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import SCHEMES, simulate
+from ..scene.switched_off import altered_model
 from ..scene.trajectory import Trajectory
 from .scene_file import (
     ContactTable,
@@ -123,7 +124,7 @@ def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> Lo
     scene = Scene(
         robot,
         [contact for held, contact in contacts if not held],
-        **_control(file.control, model, q),
+        **_control(file.control, altered_model(model, file.without), q),
         held=[contact for held, contact in contacts if held],
         locked=file.locked,
         limit_restitution=file.limit_restitution,
