@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import pinimpact
 from pinimpact import InputError, Scene, UnknownNameError, load_robot, simulate, studies
+from pinimpact.robot.matrices import contact_geometry
 
 from .test_identification import CUBES, cube_scene, cube_states, names_of
 from .test_recorded_impacts import box_scene, cube_motions, recorded, toss
@@ -149,6 +150,42 @@ def test_sliding_friction_and_gravity_of_simulated_slides() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("tilt", [0.0, 40.0, 70.0])
+def test_sliding_along_slopes(tilt: float) -> None:
+    """Straight down a slope, and up, boxes move at the constant acceleration g sin ± μ g cos."""
+    turn = Rotation.from_euler("y", tilt, degrees=True)
+    normal, down = turn.apply([0.0, 0.0, 1.0]), turn.apply([1.0, 0.0, 0.0])
+    scene, mu, g = box_scene(0.2, 0.0), 0.3, 9.81
+    scene = replace_planes(scene, pinimpact.Plane(normal=tuple(normal)))
+    fall, press = g * np.sin(np.radians(tilt)), g * np.cos(np.radians(tilt))
+    motions, t = [], np.arange(0.0, 0.2, 1 / 150)
+    for k, speed in enumerate((3.0, 2.0, -3.0)):
+        path = speed * t + 0.5 * (fall - np.sign(speed) * mu * press) * t**2
+        position = 0.062 * normal + path[:, None] * down
+        q = np.hstack([position, np.tile(turn.as_quat(), (len(t), 1))])
+        motions.append(studies.Motion(t, q, group=k))
+    fit = studies.identify_sliding(motions, scene)
+    axes = contact_geometry(scene.model, scene.model.createData(), q[0], scene.contacts[0]).axes
+    expected = [mu, *(axes[:2] @ scene.model.gravity.linear)]
+    assert fit.x == pytest.approx(expected, abs=1e-8)
+    applied = fit.apply(scene).model.gravity.linear
+    assert applied == pytest.approx(np.array(scene.model.gravity.linear), abs=1e-7)
+
+
+def test_gravity_that_cannot_be_fitted_raises() -> None:
+    wall = replace_planes(box_scene(), pinimpact.Plane(normal=(1.0, 0.0, 0.0)))
+    t = np.arange(0.0, 0.2, 1 / 150)
+    q = np.tile([0.042, 0, 0, 0, 0, 0, 1.0], (len(t), 1))
+    q[:, 1] = 2.0 * t
+    motions = [studies.Motion(t, q, group=k) for k in range(2)]
+    with pytest.raises(InputError, match="gravity does not press a body onto the plane"):
+        studies.identify_sliding(motions, wall)
+
+
+def replace_planes(scene: Scene, plane: pinimpact.Plane) -> Scene:
+    return Scene(scene.model, [replace(one, plane=plane) for one in scene.contacts])
+
+
 def test_rollouts_of_true_and_other_model() -> None:
     rng, scene = np.random.default_rng(4), box_scene()
     motions = [recorded(toss(scene, rng, 0.2), rng, group=k) for k in range(6)]

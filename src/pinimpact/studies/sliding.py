@@ -109,10 +109,23 @@ def identify_sliding(
             slopes[:2, columns], slopes[2, columns] = np.eye(2), -mu / normal * tangential
         return rows @ slopes
 
-    tilted = -0.5 * strength, 0.5 * strength
-    bounds = {name: (0.0, 2.0) if name == "sliding_friction" else tilted for name in names}
+    bounds = dict(zip(names, _bounds(names, given, strength), strict=True))
     setters = {"sliding_friction": set_coefficient, "gravity": _set_gravity}
     return fit(residual, jacobian, bounds, group, loss, setters=setters, slides=len(slides))
+
+
+def _bounds(names: Sequence[str], given: Array, strength: float) -> list[tuple[float, float]]:
+    """Return the bounds of the parameters: of μ, and of g_t (2,) about the given one.
+
+    The latter are a square about the given g_t, with half the area of the one that just fits into |g_t| < g.
+    """
+    x, y = np.abs(given).tolist()
+    fits = 0.5 * (np.sqrt(2.0 * strength**2 - (x - y) ** 2) - (x + y))
+    width = float(fits / np.sqrt(2.0))
+    if "gravity:t1" in names and not width > 0.0:
+        raise InputError("scene: its gravity does not press a body onto the plane", value=given)
+    around = dict(zip(_NAMES["gravity"], given.tolist(), strict=True))
+    return [(around[name] - width, around[name] + width) if name in around else (0.0, 2.0) for name in names]
 
 
 def _axes(scene: Scene) -> Array:
@@ -193,7 +206,15 @@ def _set_gravity(scene: Scene, name: str, value: float) -> Scene:
     """Return the scene with a tangential component of gravity, of the same size."""
     axes, model = _axes(scene), scene.model.copy()
     own = axes @ model.gravity.linear
-    own[("gravity:t1", "gravity:t2").index(name)] = value
-    own[2] = -np.sqrt(np.sum(np.array(model.gravity.linear) ** 2) - own[0] ** 2 - own[1] ** 2)
+    square = own @ own
+    own[_NAMES["gravity"].index(name)] = value
+    along = own[:2] @ own[:2]
+    if along > square:
+        raise InputError(
+            f"scene: gravity of {np.sqrt(along):.6g} m/s² along the plane was fitted, but that of the scene "
+            f"is {np.sqrt(square):.6g} m/s²; give the scene of the fit",
+            value=scene,
+        )
+    own[2] = -np.sqrt(square - along)
     model.gravity.linear = own @ axes
     return replace(scene, model=model)
