@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,6 +78,28 @@ def test_fit_of_exact_impacts_at_the_bounds() -> None:
         fit = studies.identify((W, before, solve_impacts(W, before, *truth).velocity))
         assert fit.x == pytest.approx(truth, abs=1e-7)
         assert fit.unidentified == ()
+
+
+@pytest.mark.parametrize(
+    ("truth", "free", "named"),
+    [
+        ((3.0, 0.5), {"friction": (0, 2), "restitution": (0, 1)}, ["friction is not .* its bound 2 fit"]),
+        ((0.3, 0.5), {"friction": (0.4, 2), "restitution": (0, 1)}, ["friction is not .* its bound 0.4 fit"]),
+        ((0.3, 0.9), {"friction": (0, 2), "restitution": (0, 0.8)}, ["restitution is not .* bound 0.8 fit"]),
+        ((0.0, 0.5), None, []),
+        ((0.3, 0.0), None, []),
+        ((0.3, 1.0), None, []),
+    ],
+)
+def test_coefficients_beyond_the_bounds_are_named(truth, free, named) -> None:
+    """Zero friction, and a restitution of zero or one, are no bounds of the search."""
+    rng = np.random.default_rng(5)
+    W, before = random_bodies(60, rng)
+    before[:, :2] *= 20.0
+    after = solve_impacts(W, before, *truth).velocity + 0.01 * rng.normal(size=(60, 3))
+    found = studies.identify((W, before, after), free=free).unidentified
+    assert len(found) == len(named)
+    assert all(re.match(pattern, sentence) for pattern, sentence in zip(named, found, strict=True))
 
 
 def test_coefficients_of_single_contacts_of_a_robot() -> None:

@@ -73,6 +73,7 @@ def identify_body(
         bounds,
         group_numbers(found.group, len(found)),
         loss,
+        limits=dict.fromkeys((*_NAMES["inertia"][:3], "radius"), (0.0, np.inf)),
         setters={"com": _set_inertia, "inertia": _set_inertia, "radius": set_coefficient},
     )
 

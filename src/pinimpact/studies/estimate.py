@@ -53,7 +53,7 @@ class Identified(OptimizeResult):
         groups: Number of groups.
         group: (n,) number of the group of each row of residuals.
         degrees: (p,) degrees of freedom of the intervals (I5), fewer if groups have unequal weight.
-        unidentified: One sentence for each parameter that the data do not determine.
+        unidentified: One sentence for each parameter that the data do not determine, within its bounds.
         fun: (n m,) whitened residuals, row by row; `jac` and `cost` are as in `scipy.optimize.least_squares`.
         scale: Residual above which the loss reduces weights.
         law: Restitution law of the fit; None if no law was used.
@@ -219,6 +219,7 @@ def with_covariance(
     loss: str,
     scale: float,
     reason: Callable[[str, Array], str] = lambda name, x: "",
+    limits: Mapping[str, tuple[float, float]] | None = None,
     **known: Any,
 ) -> Identified:
     """Return a solution with its covariance by groups. (I3)–(I5)
@@ -232,11 +233,13 @@ def with_covariance(
         loss: One of `LOSSES`.
         scale: Residual above which the loss reduces weights.
         reason: Returns a clause on why a parameter is not determined, for its name and x; may be empty.
+        limits: Bounds of parameters by name that no value can exceed; other bounds limit the search only.
         **known: Further attributes of the result.
     """
     low, high = np.array(list(free.values())).T
     parts = _by_group(slopes, residuals, LOSSES[loss], scale or 1.0, group)
     covariance, degrees, null, none = _covariance(*parts, high - low)
+    ends = _exceeded(np.asarray(solution.x), *parts, np.array([low, high]), list(free), limits or {})
     result = Identified(
         **dict(solution.items()),
         names=tuple(free),
@@ -248,7 +251,7 @@ def with_covariance(
         scale=scale,
         **({"law": None} | known),
     )
-    result.unidentified = _unidentified(result, null, none, reason)
+    result.unidentified = _unidentified(result, null, none, ends, reason)
     return result
 
 
@@ -295,10 +298,37 @@ def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array
     return covariance, np.minimum(degrees, count - 1.0), null > np.sqrt(eps), none
 
 
+def _exceeded(
+    x: Array,
+    hessians: Array,
+    gradients: Array,
+    bounds: Array,
+    names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]],
+) -> Array:
+    """Return the bound (p,) at which each parameter ends although the cost falls beyond it, or NaN.
+
+    A Gauss–Newton step from a minimum is zero; from a bound it may lead out of the bounds.
+    """
+    widths = bounds[1] - bounds[0]
+    hessian = hessians.sum(axis=0) * np.outer(widths, widths)
+    step = np.linalg.lstsq(hessian, -gradients.sum(axis=0) * widths, rcond=None)[0] * widths
+    ends = np.full(len(x), np.nan)
+    for i, name in enumerate(names):
+        for bound, sign, limit in zip(bounds[:, i], (-1.0, 1.0), limits.get(name, (None, None)), strict=True):
+            near = abs(x[i] - bound) < LITTLE * widths[i]
+            if near and bound != limit and sign * (x[i] + step[i] - bound) > 0.0:
+                ends[i] = bound
+    return ends
+
+
 def _unidentified(
-    result: Identified, null: Array, none: Array, reason: Callable[[str, Array], str]
+    result: Identified, null: Array, none: Array, ends: Array, reason: Callable[[str, Array], str]
 ) -> tuple[str, ...]:
-    """Return a sentence for each parameter whose error is at least that of a uniform guess in its range."""
+    """Return a sentence for each parameter whose error is at least that of a uniform guess in its range.
+
+    So has each parameter that ends at a bound; `ends` (p,) are these bounds, or NaN.
+    """
     sentences = []
     errors = result.standard_errors
     for i, name in enumerate(result.names):
@@ -316,6 +346,8 @@ def _unidentified(
                 f"its standard error, {errors[i]:.2g}, is that of a guess from {low:g} to {high:g}, or more"
             )
             sentences.append(f"{name} is not determined: {what}{why and f'; {why}'}.")
+        elif np.isfinite(ends[i]):
+            sentences.append(f"{name} is not determined: values beyond its bound {ends[i]:g} fit better.")
     return tuple(sentences)
 
 

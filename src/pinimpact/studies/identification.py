@@ -196,10 +196,25 @@ def _fitted(
         return f"the median approach speed is {speed:.2g} m/s" if name.startswith("restitution") else ""
 
     setters = dict.fromkeys(RANGES, estimate.set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
-    trial = partial(residual, derivatives=False)
     return estimate.fit(
-        residual, jacobian, bounds, group, loss, reason=reason, trial=trial, law=rows.law, setters=setters
+        residual,
+        jacobian,
+        bounds,
+        group,
+        loss,
+        reason=reason,
+        trial=partial(residual, derivatives=False),
+        limits=_limits(bounds, RANGES | STIFFENING),
+        law=rows.law,
+        setters=setters,
     )
+
+
+def _limits(
+    bounds: Iterable[str], known: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Return the range of each parameter, from the ranges of their kinds."""
+    return {name: known[name.partition(":")[0]] for name in bounds}
 
 
 def _checked(
@@ -241,7 +256,8 @@ def _of_motions(
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
     setters = dict.fromkeys(RANGES | SLIDING, estimate.set_coefficient)
-    return fit_motions(motions, scene, bounds, law, loss, setters, executor, restart)
+    limits = _limits(bounds, RANGES | SLIDING)
+    return fit_motions(motions, scene, bounds, limits, law, loss, setters, executor, restart)
 
 
 def _stiffened(bounds: Mapping[str, Any]) -> list[str]:

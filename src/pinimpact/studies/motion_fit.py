@@ -50,6 +50,7 @@ def fit_motions(
     motions: Any,
     scene: Scene,
     bounds: dict[str, tuple[float, float]],
+    limits: dict[str, tuple[float, float]],
     law: str | None,
     loss: str,
     setters: Mapping[str, Callable[[Scene, str, float], Scene]],
@@ -70,7 +71,8 @@ def fit_motions(
             value=executor,
         )
     choice("loss", loss, LOSSES, "a loss")
-    fits = _Fits(scene, bounds, law, loss, setters, executor, np.real(sqrtm(Body.of(scene).inertia)))
+    root = np.real(sqrtm(Body.of(scene).inertia))
+    fits = _Fits(scene, bounds, limits, law, loss, setters, executor, root)
     flights = starts_of(scene, motions, True, "trajectories")
     if restart:
         return fits.to_flights(flights)
@@ -87,6 +89,7 @@ class _Fits(NamedTuple):
 
     scene: Scene
     bounds: dict[str, tuple[float, float]]
+    limits: dict[str, tuple[float, float]]
     law: str | None
     loss: str
     setters: Mapping[str, Callable[[Scene, str, float], Scene]]
@@ -119,6 +122,7 @@ class _Fits(NamedTuple):
             *(self.bounds, _groups(starts), self.loss),
             trial=partial(self.residual, _some(starts, FIRST)),
             tolerance=TOLERANCE,
+            limits=self.limits,
             law=self.law,
             setters=self.setters,
         )
@@ -156,7 +160,7 @@ class _Fits(NamedTuple):
         found |= {"fun": here.ravel(), "jac": slopes.reshape(-1, len(low))}
         found.cost = float(LOSSES[self.loss]((here / scale) ** 2)[0].sum()) * 0.5 * scale**2
         given = found, self.bounds, here, slopes, group, self.loss, scale
-        result = with_covariance(*given, law=self.law, setters=self.setters)
+        result = with_covariance(*given, limits=self.limits, law=self.law, setters=self.setters)
         _without_jumps(result, ahead, behind)
         return result
 

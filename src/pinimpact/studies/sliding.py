@@ -111,7 +111,8 @@ def identify_sliding(
 
     bounds = dict(zip(names, _bounds(names, given, strength), strict=True))
     setters = {"sliding_friction": set_coefficient, "gravity": _set_gravity}
-    return fit(residual, jacobian, bounds, group, loss, setters=setters, slides=len(slides))
+    limits = {"sliding_friction": (0.0, np.inf)}
+    return fit(residual, jacobian, bounds, group, loss, limits=limits, setters=setters, slides=len(slides))
 
 
 def _bounds(names: Sequence[str], given: Array, strength: float) -> list[tuple[float, float]]:
