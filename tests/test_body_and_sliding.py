@@ -239,6 +239,9 @@ def test_bad_input_is_named() -> None:
         studies.identify_sliding([still], Scene(box_scene().model, box_scene().contacts[:2]))
     with pytest.raises(InputError, match="rollouts is for one free body"):
         studies.rollouts(Scene(load_robot("panda")), [still])
+    belt = replace_planes(box_scene(), pinimpact.Plane(velocity=(0.5, 0.0, 0.0)))
+    with pytest.raises(InputError, match="its plane moves; identify_sliding needs one at rest"):
+        studies.identify_sliding([still], belt)
     rims = [replace(one, rim=0.01, radius=0.0) for one in box_scene().contacts]
     with pytest.raises(InputError, match=r"scene: the rim '.*' has no fixed point"):
         studies.identify_sliding([still], Scene(box_scene().model, rims))

@@ -139,6 +139,8 @@ def _axes(scene: Scene) -> Array:
             "scene: at least three contacts with one plane that is fixed in the world are expected",
             value=scene,
         )
+    if planes[0] != planes[0].at_rest() and "moving surfaces" not in scene.without:
+        raise InputError("scene: its plane moves; identify_sliding needs one at rest", value=planes[0])
     data, q = scene.model.createData(), np.array([0.0, 0, 0, 0, 0, 0, 1])
     return contact_geometry(scene.model, data, q, scene.contacts[0]).axes
 
