@@ -21,7 +21,10 @@ from rich.console import Console
 import pinimpact
 from pinimpact.app.cli import RUN_FILES, main
 from pinimpact.app.demo import FIXED_BASE, FREE_BASE, run_demo
+from pinimpact.app.report import run_facts
 from pinimpact.app.scene_loader import load_scene
+from pinimpact.app.terminal import print_result
+from pinimpact.scene.records import SteppedInterval
 
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
 
@@ -245,6 +248,18 @@ def test_run_as_json(tmp_path: Path) -> None:
     assert [impact["time"] for impact in facts["impacts"]] == [impact.time for impact in trajectory.impacts]
     assert len(facts["notes"]) == len(trajectory.notes)
     assert facts["energy"]["energy residual"] == trajectory.energy.residual[-1]
+
+
+def test_time_steps_without_an_estimate_of_their_error_as_json(capsys, monkeypatch) -> None:
+    """The estimate is NaN if steps of two sizes led to impacts in different orders."""
+    scene = load_scene(SCENES / "falling_rod.toml")
+    run = pinimpact.simulate(scene.scene, scene.q, scene.v, 0.1, scheme="time-stepping")
+    crossed = SteppedInterval(0.0, 0.1, 1e-3, "several impacts", float("nan"))
+    monkeypatch.setattr(run, "stepped", (crossed,))
+    print_result(lambda: run_facts(run), lambda: "", True, False)
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["stepped"][-1]["error"] is None
+    assert facts["stepped"][-1]["dt"] == 1e-3
 
 
 def test_period_and_delay_of_run(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -76,3 +77,12 @@ def _optional(package: str, field: str) -> Any:
         raise InputError(
             f"{field}: {package} is not installed; pip install 'pinimpact[data]' installs it"
         ) from None
+
+
+def nulls(value: Any) -> Any:
+    """Return plain data with None for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: nulls(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [nulls(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

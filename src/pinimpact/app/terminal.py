@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import PinimpactError
+from ..tables import nulls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -122,7 +123,7 @@ def print_result(
     if quiet:
         return
     if as_json:
-        click.echo(json.dumps(facts(), ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(nulls(facts()), ensure_ascii=False, allow_nan=False))
         return
     shown = tables()
     if isinstance(shown, str):

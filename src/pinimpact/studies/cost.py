@@ -21,6 +21,7 @@ from ..contact_space.problem import ImpactProblem, delassus_upper
 from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
 from ..errors import InputError, PinimpactError
+from ..tables import nulls
 
 SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
     "euler": tuple({"steps": n} for n in (10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)),
@@ -204,7 +205,7 @@ class Report:
             "points": [asdict(point) for point in self.points],
             "contrasts": [asdict(contrast) for contrast in self.contrasts],
         }
-        Path(path).write_text(json.dumps(_nulls(raw), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        Path(path).write_text(json.dumps(nulls(raw), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
     def plot(self, path: str | Path) -> None:
         """Draw a work-precision diagram as PNG, with a panel for each problem."""
@@ -389,11 +390,3 @@ def duration(seconds: float) -> str:
             return f"{seconds:.3g} {unit}"
         seconds *= 1000.0
     return f"{seconds:.3g} ns"
-
-
-def _nulls(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _nulls(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_nulls(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
