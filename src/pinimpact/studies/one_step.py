@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._numeric.tolerances import HALF_DIGITS
+from .._numeric.tolerances import HALF_DIGITS, TINY
 from ..arrays import Array, Integers
 from ..status import Flag, Status
 
@@ -14,8 +14,8 @@ ONE_STEP = ("moreau", "convex")
 """Coulomb's law and Newton's restitution on the velocities after the impact; the same with the convex
 relaxation of friction, in which slip has a normal velocity μ|v_t|."""
 
-ANGLES = 64
-"""Number of intervals of the direction of slip in which roots are bracketed; there are at most six."""
+DEGREE = 3
+"""Degree of the trigonometric polynomial of the direction of slip whose roots are found."""
 
 HALVINGS = 50
 """Number of bisections of such an interval, down to rounding."""
@@ -68,13 +68,32 @@ class _Slip(NamedTuple):
             p = pull / gain
             return p, self.c[:, None] + p[..., None] * moved, gain * across_c + pull * across_moved
 
+    def _extrema(self) -> Array:
+        """Return rising angles (n, k) from 0 to 2π, between which the residual has at most one root.
+
+        They include the angles of its extrema, which are eigenvalues of the companion matrix of its slope.
+        """
+        count, size = len(self.c), 2 * DEGREE
+        even = np.arange(size + 2) * 2.0 * np.pi / (size + 2)
+        of_angle = np.fft.fft(self.at(np.broadcast_to(even, (count, len(even))))[2]) / len(even)
+        orders = np.arange(-DEGREE, DEGREE + 1)
+        slope = 1j * orders * of_angle[:, orders]
+        least = np.maximum(np.finfo(float).eps * np.abs(slope).max(axis=1), TINY)
+        lead = np.where(np.abs(slope[:, -1]) < least, least, slope[:, -1])  # a lower degree: roots far away
+        companion = np.zeros((count, size, size), dtype=complex)
+        companion[:, 1:, :-1] = np.eye(size - 1)
+        companion[:, :, -1] = -slope[:, :-1] / lead[:, None]
+        turning = np.angle(np.linalg.eigvals(companion)) % (2.0 * np.pi)
+        full = np.full((count, 1), 2.0 * np.pi)
+        return np.sort(np.hstack([np.broadcast_to(even, (count, len(even))), turning, full]), axis=1)
+
     def solve(self) -> tuple[Array, Array]:
         """Return the angle and p (n,) of the root with slip along σ and the least p ≥ 0; NaN: no root."""
-        edges = np.linspace(0.0, 2.0 * np.pi, ANGLES + 1)
-        _, _, turns = self.at(np.broadcast_to(edges, (len(self.c), ANGLES + 1)))
+        edges = self._extrema()
+        _, _, turns = self.at(edges)
         rows, columns = np.nonzero(turns[:, :-1] * turns[:, 1:] <= 0.0)
         each = _Slip(self.W[rows], self.c[rows], self.mu[rows], self.convex)
-        low, high = edges[columns][:, None], edges[columns + 1][:, None]
+        low, high = edges[rows, columns][:, None], edges[rows, columns + 1][:, None]
         first = turns[rows, columns][:, None]
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
