@@ -352,6 +352,43 @@ def test_free_base_for_mjcf_with_joints_to_the_world_raises(tmp_path):
     assert pinimpact.load_robot(path, free_flyer=True).model.nv == 6
 
 
+def test_pose_of_free_base_of_mjcf_is_that_of_mujoco(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "x.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="base" pos="0.1 0.2 1" quat="0.5 0.1 -0.7 0.2"><freejoint/>'
+        '<geom size=".1"/><body name="leg" pos="0 0.3 0.1" euler="20 30 40"><joint axis="1 2 0"/>'
+        '<geom size=".1" pos=".2 0 0"/></body></body></worldbody></mujoco>'
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot = pinimpact.load_robot(path)
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    state = mujoco.MjData(theirs)
+    for q in (robot.q0, pin.integrate(robot.model, robot.q0, np.linspace(-1.0, 1.0, 7))):
+        state.qpos[:] = q
+        state.qpos[3:7] = np.roll(q[3:7], 1)
+        mujoco.mj_kinematics(theirs, state)
+        pin.framesForwardKinematics(robot.model, robot.data, q)
+        for body in ("base", "leg"):
+            place = robot.data.oMf[robot.model.getFrameId(body)]
+            assert place.translation == pytest.approx(state.body(body).xpos, abs=1e-12)
+            assert place.rotation.ravel() == pytest.approx(state.body(body).xmat, abs=1e-12)
+
+
+def test_moved_bodies_of_mjcf_are_named(tmp_path):
+    """Pinocchio ignores the pose of a body that does not move, here displaced and turned about z."""
+    pytest.importorskip("mujoco")
+    for pose in ('pos="1 0 0"', 'euler="0 0 90"'):
+        path = tmp_path / "x.xml"
+        path.write_text(
+            f'<mujoco><worldbody><body name="wall" {pose}><body name="arm"><joint axis="0 1 0"/>'
+            '<geom size=".1" pos=".2 0 0"/></body></body></worldbody></mujoco>'
+        )
+        with pytest.warns(UserWarning, match="differs from MuJoCo's in positions: "):
+            pinimpact.load_robot(path)
+
+
 def test_ignored_trees_of_mjcf_are_named(tmp_path):
     body = '<body name="{0}"><joint name="{0}"/>' + ROD + "</body>"
     path = tmp_path / "x.xml"

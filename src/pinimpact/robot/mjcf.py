@@ -48,6 +48,8 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         model.gravity.linear = np.array([float(x) for x in option.get("gravity", "").split()])
     if root.find("option/flag[@gravity='disable']") is not None:
         model.gravity.linear = np.zeros(3)
+    if not root_joint and model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer":
+        model.jointPlacements[1] = pin.SE3.Identity()  # its coordinates are the pose in the world
     keys = {entry.key(): entry.data() for entry in model.referenceConfigurations}
     _correct_limits(model, root, keys.get("qpos0", np.zeros(model.nq)))
     trees = [
@@ -162,12 +164,32 @@ def _differences(model: pin.Model, path: Path) -> list[str]:
         "dry friction": (model.friction, theirs.dof_frictionloss),
         "joint limits": (np.where(np.isnan(limits), limits, bounds), limits),
     }
-    different = []
-    for name, (ours, other) in compared.items():
-        much = max(SAME * np.abs(other[np.isfinite(other)]).max(initial=0.0), EXACT)
-        if not np.allclose(ours, other, rtol=0.0, atol=much, equal_nan=True):
-            different.append(name)
-    return different
+    different = [name for name, (ours, other) in compared.items() if not _same(ours, other)]
+    if different:
+        return different
+    # a displacement, or a rotation about the vertical, changes none of these
+    moment, slopes = _first_moment(theirs, state)
+    whole, motion = pin.computeTotalMass(model), pin.jacobianCenterOfMass(model, data, q)
+    placed = _same(whole * pin.centerOfMass(model, data, q), moment)
+    placed &= _same(whole * motion.reshape(3, model.nv), slopes @ axes)
+    return [] if placed else ["positions"]
+
+
+def _same(ours: Array, other: Array) -> bool:
+    much = max(SAME * np.abs(other[np.isfinite(other)]).max(initial=0.0), EXACT)
+    return np.allclose(ours, other, rtol=0.0, atol=much, equal_nan=True)
+
+
+def _first_moment(theirs: Any, state: Any) -> tuple[Array, Array]:
+    """Return Σ m x (3,) of the moving bodies of MuJoCo's model, and its derivatives (3, nv)."""
+    import mujoco
+
+    moment, slopes, jacobian = np.zeros(3), np.zeros((3, theirs.nv)), np.empty((3, theirs.nv))
+    for body in np.flatnonzero(theirs.body_weldid).tolist():
+        mujoco.mj_jacBodyCom(theirs, state, jacobian, None, body)
+        moment += theirs.body_mass[body] * state.xipos[body]
+        slopes += theirs.body_mass[body] * jacobian
+    return moment, slopes
 
 
 def _shapes(model: pin.Model, path: Path, kind: pin.GeometryType) -> tuple[pin.GeometryModel, list[str]]:
