@@ -890,6 +890,7 @@ def test_unsupported_derivatives_raise():
     few = replace(kick, jacobian=lambda t, q, v: np.eye(9))
     refuses("jacobian: .*shape", replace(scene, events=[few]))
     refuses("expected", names=["mass"])
+    refuses("sensitivities: True given, a name or a sequence", names=True)
     refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)
     varying = replace(contact, restitution=lambda speed: 0.5)
     refuses("function", replace(scene, contacts=[varying]), ["restitution:hand"])

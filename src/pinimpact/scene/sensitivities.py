@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import legvander
 
 from .._numeric.tolerances import RANK, ROUNDOFF
 from ..arrays import Array, Integers
-from ..checks import in_short
+from ..checks import as_tuple, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ._kernels.contact_forces import SLIP, STICK
@@ -120,7 +120,7 @@ def check_supported(scene: Scene) -> None:
 
 def parse(scene: Scene, names: Any) -> tuple[str, ...]:
     """Return the checked names of sensitivities: "state", "friction:CONTACT", "restitution:CONTACT"."""
-    names = (names,) if isinstance(names, str) else tuple(names)
+    names = as_tuple("sensitivities", names, str, "a name")
     check_supported(scene)
     for name in names:
         kind, _, label = str(name).partition(":")
