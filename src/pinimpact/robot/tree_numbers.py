@@ -85,6 +85,7 @@ def _tree(model: pin.Model) -> Tree | None:
         "joint_placements": bridge.rows(model.jointPlacements, model.jointPlacements, "jointPlacements"),
         "inertias": _inertias(model),
         "armature": _in_place(model.armature, model.armature, "armature"),
+        "scratch": np.zeros(room_for(nv, joints)),  # shared by all contacts, which use it one after another
     }
     copied = {
         "joint_kind": kinds,

@@ -209,6 +209,8 @@ class SceneImpacts:
             IrregularMotionError: The impact is refused.
         """
         touching = self._connected(first, touching)
+        if len(touching) == 1:
+            return None
         every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])

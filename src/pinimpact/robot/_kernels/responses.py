@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
-from ..._numeric.products import dot
+from ..._numeric.products import products
 from ..._numeric.tolerances import ROUNDING
 from .tree import factor, solve, solve_transposed
 
@@ -30,10 +30,12 @@ def half_solve(mass, parents, mobility, lower, rows):
         −1, or the index of the first velocity whose inertia is not positive.
     """
     n = len(mobility)
-    scaled = np.empty((n, n))
+    scaled = np.empty((n, n))  # of ancestors only, as L
     for i in range(n):
-        for j in range(n):
+        j = i
+        while j >= 0:
             scaled[i, j] = mass[i, j] * (mobility[i] * mobility[j])
+            j = parents[j]
         scaled[i, i] = mass[i, i] if mobility[i] > 0.0 else 1.0  # a locked joint may be without inertia
         for row in rows:
             row[i] *= mobility[i]
@@ -47,9 +49,8 @@ def half_solve(mass, parents, mobility, lower, rows):
 @jit
 def respond(lower, parents, mobility, y, delassus, response):
     """Fill `delassus` (m, m) with y yᵀ and `response` (m, nv) with D L⁻¹ y for rows y of `half_solve`."""
+    products(y, y, delassus)
     for a in range(len(y)):
-        for b in range(a + 1):
-            delassus[a, b] = delassus[b, a] = dot(y[a], y[b])
         assign(response[a], y[a])
     solve(lower, parents, response)
     for row in response:

@@ -47,4 +47,4 @@ class RobotWorkspace(Workspace):
     friction = real("its coefficient of friction")
     law = integer("the code of its law")
 
-    scratch = reals("room", meaning="room for an impact that is alone")
+    scratch = reals("room", given=True, meaning="room for an impact that is alone")

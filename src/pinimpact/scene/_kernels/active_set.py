@@ -129,23 +129,27 @@ def stop_along(rows, velocity, minverse, v):
     `velocity` (m,) are the velocities of the rows. With M⁻¹ = L Lᵀ and v = L w this is the least change of w.
     Rows that almost depend on others are also stopped if this changes w little more.
     """
-    m, n = rows.shape
-    if m == 0:
+    moved = moved_by(rows, minverse)
+    m, n = len(rows), len(moved)
+    if m == 0 or n == 0:
         return 0.0
-    lower, scaled = minverse.copy(), np.empty((m, n))
+    lower, scaled = np.empty((n, n)), np.empty((m, n))
+    for j in range(n):
+        for k in range(n):
+            lower[j, k] = minverse[moved[j], moved[k]]
     cholesky(lower)
     for a in range(m):
         for j in range(n):
             scaled[a, j] = 0.0
             for k in range(j, n):
-                scaled[a, j] += rows[a, k] * lower[k, j]
+                scaled[a, j] += rows[a, moved[k]] * lower[k, j]
     change, finer, no_basis = np.empty(n), np.empty(n), np.empty((0, n))
     least_norm(scaled, velocity, DIFFERENT, change, no_basis)
     least_norm(scaled, velocity, NEGLIGIBLE, finer, no_basis)
     w = np.empty(n)
     size = more = 0.0
     for i in range(n):  # w = L⁻¹ v
-        total = v[i]
+        total = v[moved[i]]
         for j in range(i):
             total -= lower[i, j] * w[j]
         w[i] = total / lower[i, i]
@@ -157,5 +161,20 @@ def stop_along(rows, velocity, minverse, v):
         energy -= change[j] * (w[j] - 0.5 * change[j])
     for i in range(n):
         for j in range(i + 1):
-            v[i] -= lower[i, j] * change[j]
+            v[moved[i]] -= lower[i, j] * change[j]
     return energy
+
+
+@inlined
+def moved_by(rows, minverse):
+    """Return the indices of the velocities that impulses along rows (m, nv) change."""
+    n = len(minverse)
+    moved = np.zeros(n, dtype=np.int64)
+    for j in range(n):
+        for row in rows:
+            if row[j] != 0.0:
+                for i in range(n):
+                    if minverse[j, i] != 0.0:
+                        moved[i] = 1
+                break
+    return nonzero(moved)

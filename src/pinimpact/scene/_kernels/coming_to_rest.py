@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import assign, filled
-from ..._numeric.products import apply, dot
+from ..._numeric.products import apply, apply_symmetric, dot
 from .active_set import stop_along
 from .slip import fastest_of
 from .tolerances import ROUNDING
@@ -67,7 +67,7 @@ def come_to_rest(
             if slowest > most:
                 mark_causes(minverse, rows, start, rests, moves, first, before, a, sign, keep_sliding)
                 continue
-            apply(minverse, rows[a], direction)
+            apply_symmetric(minverse, rows[a], direction)
             apply(rows, direction, speeds)
             stop_chosen(minverse, rows, resting, speeds, direction.copy(), 0.0, direction)
             rate = dot(rows[a], direction)
