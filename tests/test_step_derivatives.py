@@ -82,6 +82,24 @@ def test_body_in_flight():
     assert np.allclose(found.state[:3, 6:9], 0.05 * turned.T, atol=1e-9)  # x = t v, in the axes at the end
 
 
+@pytest.mark.parametrize("friction", [0.1, 0.9])
+def test_planar_joint_in_flight_and_at_an_impact(friction):
+    # the plane of the joint is vertical, and the centre of mass is off its origin
+    model = pin.Model()
+    upright = pin.SE3(pin.utils.rotate("x", 0.5 * np.pi), np.zeros(3))
+    joint = model.addJoint(0, pin.JointModelPlanar(), upright, "body")
+    inertia = pin.Inertia(1.2, np.array([0.1, -0.05, 0.02]), np.diag([0.01, 0.02, 0.03]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addJointFrame(joint)
+    q = np.array([0.0, 0.2, np.cos(0.4), np.sin(0.4)])
+    flight, _ = compare(Scene(model, []), q, np.array([0.6, 0.3, 5.0]), 0.1)
+    assert flight.v[-1, 0] != flight.v[0, 0]
+    tip = Contact("body", Plane(), friction=friction, restitution=0.5, offset=(0.15, 0.0, 0.0))
+    run, found = compare(Scene(model, [tip]), q, np.array([0.6, -0.3, -5.0]), 0.2)
+    assert len(run.impacts) == 1 and found.boundary == Boundary.RANK
+
+
+
 PULLS, DRAG = np.array([3, -2, 5, 0.2, 0.1, 0.3]), 0.1
 
 

@@ -126,7 +126,7 @@ def test_disagreement_with_pinocchio_is_detected(monkeypatch):
 
     def wrong(model):
         tree = right(model)
-        tree.copied["velocity_axis"][0] *= -1.0
+        tree.arrays["velocity_axis"][0] *= -1.0
         return tree
 
     monkeypatch.setattr(tree_numbers, "_tree", wrong)

@@ -10,8 +10,8 @@ from .data_cache import DataCache, outdated
 from .pinocchio_bridge import refuse
 from .tree_numbers import workspace_of
 
-MOST = 256
-"""Largest number of cached contacts."""
+MOST = 4096
+"""Largest number of cached contacts, of some kilobytes each."""
 
 
 def strike(

@@ -36,11 +36,10 @@ _MANY_AXES = {  # kind, and of each velocity whether it is a rotation, and its a
 
 
 class Tree(NamedTuple):
-    """The numbers of a kinematic tree for `RobotWorkspace`: sizes, arrays in place, copies."""
+    """The numbers of a robot for `RobotWorkspace`: sizes, and arrays that its contacts share."""
 
     sizes: dict[str, int]
-    given: dict[str, Array]
-    copied: dict[str, NDArray[Any]]
+    arrays: dict[str, NDArray[Any]]
 
 
 def tree_of(model: pin.Model, parts: Sequence[pin.Model]) -> Tree | None:
@@ -81,13 +80,10 @@ def _tree(model: pin.Model) -> Tree | None:
         joint_of[rows] = j
     if len(joint_of) != sum(model.nvs[j] for j in range(1, joints)):
         return None
-    given = {
+    arrays = {
         "joint_placements": bridge.rows(model.jointPlacements, model.jointPlacements, "jointPlacements"),
         "inertias": _inertias(model),
         "armature": _in_place(model.armature, model.armature, "armature"),
-        "scratch": np.zeros(room_for(nv, joints)),  # shared by all contacts, which use it one after another
-    }
-    copied = {
         "joint_kind": kinds,
         "joint_parent": np.array(list(model.parents), dtype=np.int64),
         "joint_q": np.array([max(x, 0) for x in model.idx_qs], dtype=np.int64),
@@ -96,9 +92,10 @@ def _tree(model: pin.Model) -> Tree | None:
         "velocity_joint": joint_of,
         "velocity_turns": turns,
         "velocity_axis": along,
+        "scratch": np.zeros(room_for(nv, joints)),  # shared by all contacts, which use it one after another
     }
     sizes = {"nq": model.nq, "nv": nv, "bodies": joints, "room": room_for(nv, joints)}
-    return Tree(sizes, given, copied)
+    return Tree(sizes, arrays)
 
 
 def _inertias(model: pin.Model) -> Array:
@@ -183,7 +180,7 @@ def workspace_of(
         parents: (nv,) next velocity towards the root, or −1.
         signs: (nv,) as in `contact_kinematics.fill_jacobian`.
     """
-    arrays = tree.given | {
+    arrays = tree.arrays | {
         "frame": placement_of_frame(model, frame),
         "carrier": placement_of_frame(model, carrier),
         "velocity_parent": parents,
@@ -191,8 +188,6 @@ def workspace_of(
         "signs": signs,
     }
     work = RobotWorkspace(tree.sizes, arrays)
-    for name, values in tree.copied.items():
-        work.whole(RobotWorkspace.fields[name])[...] = values  # type: ignore[arg-type]
     work.frame_joint = model.frames[frame].parentJoint
     work.carrier_joint = model.frames[carrier].parentJoint
     return work

@@ -28,14 +28,16 @@ class RobotWorkspace(Workspace):
     frame = reals(12, given=True, meaning="placement of the contact's frame on its joint")
     carrier = reals(12, given=True, meaning="of the frame that carries the surface, or of the world")
 
-    joint_kind = integers("bodies", meaning="see `REVOLUTE` and its neighbours")
-    joint_axis = integers("bodies", meaning="which of its own axes it turns or slides along, else −1")
-    joint_parent = integers("bodies", meaning="the parent joint")
-    velocity_axis = reals("nv", 3, meaning="direction of each velocity in the joint's own axes")
-    joint_q = integers("bodies", meaning="where its coordinates begin in q")
-    velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
-    velocity_turns = integers("nv", meaning="1 where it is a rotation, else 0")
-    joint_v = integers("bodies", meaning="where its velocities begin in v")
+    joint_kind = integers("bodies", given=True, meaning="see `REVOLUTE` and its neighbours")
+    joint_axis = integers(
+        "bodies", given=True, meaning="which of its own axes it turns or slides along, else −1"
+    )
+    joint_parent = integers("bodies", given=True, meaning="the parent joint")
+    velocity_axis = reals("nv", 3, given=True, meaning="direction of each velocity in the joint's own axes")
+    joint_q = integers("bodies", given=True, meaning="where its coordinates begin in q")
+    velocity_joint = integers("nv", given=True, meaning="the joint that each velocity belongs to")
+    velocity_turns = integers("nv", given=True, meaning="1 where it is a rotation, else 0")
+    joint_v = integers("bodies", given=True, meaning="where its velocities begin in v")
     velocity_parent = integers("nv", given=True, meaning="the next velocity on the way to the root, or −1")
     bounds = reals(2, "nq", given=True, meaning="the least and the greatest value of each coordinate")
 
