@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pinimpact._numeric import coulomb_problem
-from pinimpact.scene import instant, integrator, jam_growth, progress, scene_impacts
+from pinimpact.scene import crowds, instant, integrator, jam_growth, progress, scene_impacts
 from pinimpact.scene._kernels import contact_modes, slip, tolerances
 from tools import pages
 
@@ -127,9 +127,9 @@ NUMBERS = [
     (tolerances.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (tolerances.STEPS_GAIN, 1e-4, "add more than $10^{-4}$ of the kinetic energy of $v$"),
-    (scene_impacts.CROWD, 16, "more than 16 contacts of more than five islands touch"),
-    (scene_impacts.FEW, 8, "is used for at most 8 contacts and not for impacts without collision"),
-    (instant.ISLANDS, 5, "of more than five islands touch"),
+    (crowds.CROWD, 16, "more than 16 contacts of more than five islands touch"),
+    (crowds.FEW, 8, "is used for at most 8 contacts and not for impacts without collision"),
+    (crowds.ISLANDS, 5, "of more than five islands touch"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (tolerances.NUDGE, 2.0**-26, r"\max\bigl(2^{-26}\,|v_t|"),
     (tolerances.LEAST_NUDGE, 0.1 * 2.0**-26, r"\tfrac1{10}2^{-26}\max|v_t|"),

@@ -14,9 +14,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Box, Contact, Plane, Scene, Shape, SteppedWarning, simulate
+from pinimpact import Boundary, Box, Contact, Plane, Scene, Shape, SteppedWarning, simulate
 from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import box
+from pinimpact.scene import instant, scene_impacts
 
 from .scene_models import UP, G, unbounded
 from .test_time_stepping import boxes
@@ -234,6 +235,54 @@ def test_rack_of_balls_breaks_symmetrically_in_both_schemes(turn, numbering, res
         np.testing.assert_allclose(after, mirrored, atol=1e-9)
         breaks.append(after)
     np.testing.assert_allclose(*breaks, atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_impact_whose_waves_are_not_followed_is_that_of_newtons_law(friction, monkeypatch):
+    monkeypatch.setattr(scene_impacts, "BRIEF", 0)
+    monkeypatch.setattr(instant, "FEW", 3)
+    model, e, height, dt = pin.Model(), 0.6, 0.1, 1e-3
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0, 0.2, 0.3, 0.1), pin.SE3.Identity())
+    contacts = []
+    for k, (x, y) in enumerate(itertools.product((-0.1, 0.1), (-0.15, 0.15))):
+        model.addFrame(pin.Frame(f"{k}", joint, pin.SE3(np.eye(3), np.array([x, y, -0.05])), pin.OP_FRAME))
+        contacts.append(Contact(f"{k}", Plane(), friction, e))
+    unbounded(model)
+    fall = (2.0 * height / G) ** 0.5
+    q0, duration = np.array([0, 0, 0.05 + height, *UP]), (1.0 + e) * fall  # the end is the next peak
+    run = simulate(
+        *(Scene(model, contacts), q0, np.zeros(6), duration),
+        scheme="time-stepping",
+        dt=dt,
+        sensitivities="state",
+    )
+    assert not run.impacts
+    assert any("Newton's law" in note.text for note in run.notes)
+    assert run.q[-1, 2] - 0.05 == pytest.approx(e**2 * height, abs=2.0 * G * fall * dt)
+    assert run.energy.residual == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(run.q[-1, [0, 1, 3, 4, 5]], 0.0, atol=1e-9)
+    left = run.sensitivity(duration)
+    assert left.boundary & Boundary.EVENTS_COINCIDE
+    assert np.isnan(left.state).all()
+
+
+def test_pile_with_restitution_gains_no_energy():
+    count, size = 6, (0.2, 0.2, 0.1)
+    scene = boxes(count, size, 1.0, restitution=0.4)
+    q0, rng = np.tile([0, 0, 0, *UP], count), np.random.default_rng(0)
+    for k in range(count):
+        q0[7 * k : 7 * k + 3] = *rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k
+    run = simulate(scene, q0, np.zeros(6 * count), 0.4, scheme="time-stepping", dt=1e-3)
+    assert any("Newton's law" in note.text for note in run.notes)
+    model, data = scene.model, scene.model.createData()
+    energy = np.array(
+        [
+            pin.computeKineticEnergy(model, data, q, v) + pin.computePotentialEnergy(model, data, q)
+            for q, v in zip(run.q, run.v, strict=True)
+        ]
+    )
+    assert np.diff(energy).max() < 1e-3 * energy[0]
 
 
 def test_pile_comes_to_rest_without_penetration():

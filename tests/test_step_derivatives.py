@@ -100,7 +100,6 @@ def test_planar_joint_in_flight_and_at_an_impact(friction):
     assert found.boundary == Boundary.RANK
 
 
-
 PULLS, DRAG = np.array([3, -2, 5, 0.2, 0.1, 0.3]), 0.1
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._numeric.tolerances import LITTLE, TINY
 from ..checks import in_short, real_number
-from ..errors import InputError
+from ..errors import InputError, IrregularMotionError
 from ._kernels.tolerances import AGREE, BY_STEPS, FINEST, MISSED
 from .at_once import solve_together
 from .inputs import Array
@@ -32,12 +32,19 @@ COARSEST = 0.1 * LITTLE
 
 
 def propagate_waves(
-    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = RTOL, accuracy: float = BY_STEPS
+    inputs: ManyInputs,
+    record: bool,
+    exponent: float = 1.0,
+    rtol: float = RTOL,
+    accuracy: float = BY_STEPS,
+    most: int | None = None,
 ) -> ManySolution:
     """Solve an impact at n contacts by the LZB model, with F ∝ δ^exponent and series to a tolerance `rtol`.
 
     If there are too many events, the impact is integrated by adaptive steps with a tolerance `accuracy` of
-    velocities relative to the largest, or taken as plastic if `accuracy` is zero or this fails.
+    velocities relative to the largest, or taken as plastic if `accuracy` is zero or this fails. With `most`,
+    the largest number of steps between two events and per contact in all, an `IrregularMotionError` is raised
+    instead.
     """
     from ._kernels.propagation import propagate
 
@@ -48,7 +55,7 @@ def propagate_waves(
     rtol = checked_rtol(rtol, LEAST_RTOL)
     if not 0.0 <= real_number("accuracy", accuracy) <= COARSEST:
         raise InputError(f"accuracy: {in_short(accuracy)} given, 0 to {COARSEST:g} expected", value=accuracy)
-    most = round(MOST_STEPS * (BY_STEPS / max(accuracy, BY_STEPS)) ** 0.25)
+    largest = round(MOST_STEPS * (BY_STEPS / max(accuracy, BY_STEPS)) ** 0.25) if most is None else most
     n = len(inputs.velocity)
     velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
     rows = np.empty((64 * n + 64, 5))
@@ -57,7 +64,7 @@ def propagate_waves(
         counts = np.zeros(5, dtype=np.int64)
         stopped, residual = propagate(
             *(inputs.delassus, inputs.velocity.ravel(), inputs.friction, inputs.restitution),
-            *(inputs.stiffness, float(exponent), float(rtol), most),
+            *(inputs.stiffness, float(exponent), float(rtol), largest),
             *(velocity, impulse, works, counts, rows, path),
         )
         steps, events, used, points, ended = counts.tolist()
@@ -68,6 +75,8 @@ def propagate_waves(
         else:
             break
     if ended == 2 or not (stopped and residual <= max(MISSED, 100.0 * rtol)):
+        if most is not None:
+            raise IrregularMotionError("The impact has many events in short succession.")
         stepped = _propagate_in_steps(inputs, exponent, record, accuracy) if accuracy > 0.0 else None
         return stepped or _propagate_plastically(inputs)
     notes = notes_on_law(inputs)

@@ -21,6 +21,7 @@ from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
 from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING
+from .crowds import CROWD, FEW, CrowdError
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
@@ -30,18 +31,13 @@ from .recorder import Recorder
 from .records import ImpactRecord, Note
 from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
-from .scene_impacts import CROWD, SceneImpacts
+from .scene_impacts import SceneImpacts
 from .shape_watch import ShapeWatch
 from .start import check_start, left_by_steps
 from .switched_off import altered, held_contacts
 
 Arriving = int | list[int] | None
 """Numbers of the contacts, or of the limit, whose gap closes now; None: none."""
-
-ISLANDS = 5
-"""Number of islands above which more than `CROWD` touching contacts are left to time steps. The event-driven
-scheme solves for the forces of all contacts at once, at a cost cubic in their number; time steps solve each
-island alone."""
 
 STICK_FRACTION = 0.1
 """Sticking speed, relative to the resting speed: slower slip is taken as zero."""
@@ -157,7 +153,7 @@ class Instant:
         if self.shapes:
             self.shapes.refresh(self.state.q)
         self._hit[:] = False
-        self._impacts.unresolved = 0.0
+        self._impacts.unresolved, self._impacts.crowd = 0.0, CROWD if self.crowds_refused else math.inf
         resolved: list[dict[str, Any]] = []
         jams = 0
         while True:
@@ -166,7 +162,7 @@ class Instant:
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
             self.rims.check(where, work.touching_gap)
             if self.crowds_refused and not resolved:
-                self._refuse_crowd()
+                self._impacts.refuse_crowd(np.flatnonzero(where[: work.contacts] != APART))
             if i >= 0:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
@@ -190,14 +186,12 @@ class Instant:
             resolved += struck
         self._keep(resolved)
 
-    def _refuse_crowd(self) -> None:
-        """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
-        contacts = np.flatnonzero(self._where[: self.dynamics.work.contacts] != APART)
-        if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
-            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies are active at once")
+    def collide(
+        self, touching: float, soon: float, slowest: float, error: float, pressed: Any
+    ) -> dict[int, float]:
+        """Resolve the impacts at the end of a time step; return those left to the next step.
 
-    def collide(self, touching: float, soon: float, slowest: float, error: float, pressed: Any) -> None:
-        """Resolve the impacts at the end of a time step.
+        These are the numbers and coefficients of restitution of contacts and limits of a `CrowdError`.
 
         Contacts that separate take no part in the impacts of others, unless they have an impulse in the step
         that ends here: the velocities of active contacts vanish only at the ends of steps.
@@ -209,13 +203,15 @@ class Instant:
             error: Error of velocities that is acceptable [m/s], see `SceneImpacts.unresolved`.
             pressed: (n + nl,) whether each contact or limit has an impulse in that step; False: none has.
         """
-        self._hit[:], self._impacts.unresolved = False, error
+        self._hit[:], self._impacts.unresolved, self._impacts.crowd = False, error, FEW
         resolved: list[dict[str, Any]] = []
+        left: dict[int, float] = {}
         parting: Array | None = None
         near: Any = False
         while self.names:
             rates = self.approach(self.state.q, self.state.v, touching, soon, near)
-            i, near = int(np.argmin(rates)), np.isfinite(rates)
+            near, rates[list(left)] = np.isfinite(rates), math.inf
+            i = int(np.argmin(rates))
             if rates[i] >= -max(slowest, self.dynamics.work.resting_speed):
                 break
             if parting is None:  # gaps of active contacts vanish only at the ends of steps, too
@@ -225,8 +221,12 @@ class Instant:
                 parting = np.maximum(self.dynamics.work.resting_speed, np.where(pressed, rates, 0.0))
             self._where[:] = np.where((rates <= parting) & near, ARRIVING, APART)
             self.rims.check(self._where, max(touching, -soon * float(rates[i])))
-            resolved += self._strike(i, -float(rates[i]), resolved)
+            try:
+                resolved += self._strike(i, -float(rates[i]), resolved)
+            except CrowdError as crowd:
+                left |= crowd.left
         self._keep(resolved)
+        return left
 
     def approach(self, q: Array, v: Array, touching: float, soon: float = 0.0, near: Any = False) -> Array:
         """Return gap rates (n + nl,), infinite unless `near`, up to `touching` [m], or closed in `soon`."""

@@ -55,6 +55,11 @@ class Recorder:
         """The lists of the record: steps, samples, impacts, events, notes, mode intervals that have ended."""
         return self.dense_steps, self.samples, self.impacts, self.events, self.notes, self.modes.ended
 
+    def note_once(self, t: float, text: str) -> None:
+        """Add a note at time t [s] unless the record has it."""
+        if all(note.text != text for note in self.notes):
+            self.notes.append(Note(t, text))
+
     def mark(self) -> Mark:
         """Return the present length of the record."""
         return Mark(tuple(map(len, self.lists)), self.modes.present)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -31,6 +32,7 @@ from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact, impact_in_steps
 from ._kernels.contact_forces import FREE, SLIP
 from ._kernels.tolerances import LEAST_NUDGE, NUDGE, ROUNDING
+from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
@@ -40,14 +42,6 @@ from .scene import Scene
 from .switched_off import locked_joints
 
 _compiled: set[tuple[bool, bool]] = set()
-
-CROWD = 16
-"""Number of contacts above which an impact without restitution is left to time steps, with `scheme="auto"`:
-the cost of its events grows steeply with their number."""
-
-FEW = 8
-"""Number of contacts up to which adaptive steps integrate such an impact, with `scheme="auto"`: with more
-they take seconds, and rarely find a limit e → 0."""
 
 GROWN = 100.0
 """Least growth of the initial velocity of an impact without collision; smaller changes are rounding."""
@@ -73,6 +67,7 @@ class SceneImpacts:
         unresolved: Change of velocity by gravity in a time step [m/s], 0 for the event-driven scheme. The
             relative error of time steps is the square of its ratio to the velocity; impacts need not be more
             accurate.
+        crowd: Number of contacts above which the waves of an impact are followed only briefly.
     """
 
     def __init__(
@@ -99,7 +94,7 @@ class SceneImpacts:
         self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
-        self.unresolved = 0.0
+        self.unresolved, self.crowd = 0.0, math.inf
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
 
     def compile_kernels(self, q: Array) -> None:
@@ -200,13 +195,14 @@ class SceneImpacts:
             limit: Whether to take the limit of endless impacts, which is a plastic impact of all. (14.8)
             refuse: Whether to raise an error for an impact without restitution in which more than `CROWD`
                 contacts take part or whose waves are not resolved; adaptive steps are tried for up to `FEW`.
+                With more than `crowd` contacts an error is raised unless few events resolve the impact.
 
         Returns:
             The impact; None if only `first` takes part. If `first` has restitution and others are coupled to
             it but lifted, the impact is returned too, since the law is then the energetic one.
 
         Raises:
-            IrregularMotionError: The impact is refused.
+            CrowdError: The impact is refused.
         """
         touching = self._connected(first, touching)
         if len(touching) == 1:
@@ -224,10 +220,11 @@ class SceneImpacts:
         if len(chosen) == 1 and (not coupled or self._is_plastic(struck[0])):
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
+        sources = [touching[k] for k in chosen.tolist()]
         refuse = refuse and not any(e)
-        crowd = f"scene: {len(chosen)} contacts take part in an impact"
         if refuse and len(chosen) > CROWD:
-            raise IrregularMotionError(crowd, value=len(chosen))
+            raise CrowdError(sources, e)
+        crowd = not limit and len(chosen) > self.crowd
         policy = self.policy
         if limit:
             policy, e = "together", [0.0] * len(struck)
@@ -236,11 +233,11 @@ class SceneImpacts:
             places = (3 * chosen[:, None] + np.arange(3)).ravel()
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
-        sources = [touching[k] for k in chosen.tolist()]
-        accuracy = 0.0 if refuse and len(chosen) > FEW else self._accuracy(velocity)
+        accuracy = 0.0 if crowd or (refuse and len(chosen) > FEW) else self._accuracy(velocity)
+        most = BRIEF if crowd and policy == "propagate" else None
         try:
             solved = self._solve(
-                policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy
+                policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy, most
             )
         except UnstoppableApproachError:
             # active contacts may approach by the error of steps in a direction that no impulse changes
@@ -250,10 +247,10 @@ class SceneImpacts:
                 raise
             velocity = np.where(rests, 0.0, velocity)
             solved = self._solve(
-                policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy
+                policy, struck, (delassus, velocity, friction, surface), e, sources, accuracy, most
             )
         if refuse and not solved.solution.story.resolved:
-            raise IrregularMotionError(f"{crowd} that is not resolved", value=len(chosen))
+            raise CrowdError(sources, e)
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
         return group_impact(v, response, solved, sources, axes, 0.0)
 
@@ -323,10 +320,12 @@ class SceneImpacts:
         missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
         return min(max(self._dynamics.work.rtol, missed), COARSEST)
 
-    def islands(self, contacts: Integers) -> int:
-        """Return the number of islands that contacts connect; the world connects nothing."""
+    def refuse_crowd(self, contacts: Integers) -> None:
+        """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
         ends = self._roots[self._dynamics.work.contact_joints[contacts]]
-        return len(np.unique(islands(self._roots, ends)[ends[ends > 0]]))
+        count = len(np.unique(islands(self._roots, ends)[ends[ends > 0]]))  # the world connects nothing
+        if len(contacts) > CROWD and count > ISLANDS:
+            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies are active at once")
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
         """Return those of `touching` that joints and contacts, also held ones, connect with the first."""
@@ -358,6 +357,7 @@ class SceneImpacts:
         e: Sequence[float],
         sources: Sequence[int],
         accuracy: float,
+        most: int | None = None,
     ) -> Solved:
         """Solve an impact at several contacts, and determine which bounce slower than the resting speed.
 
@@ -368,6 +368,7 @@ class SceneImpacts:
             e: Coefficients of restitution.
             sources: Numbers of the contacts and limits.
             accuracy: Relative tolerance of adaptive steps through the impact; 0: no such steps.
+            most: Largest number of steps between events per contact, for the policy "propagate".
         """
         delassus, velocity, friction, surface = numbers
         stiffness = _stiffness(struck, delassus)
@@ -377,7 +378,11 @@ class SceneImpacts:
         restitution = np.array(e)
         inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
         options = {"accuracy": accuracy} if name == "propagate" else {}
-        solution = policy.run(inputs, False, **options)
+        briefly = {} if most is None else {"most": most}
+        try:
+            solution = policy.run(inputs, False, **options, **briefly)
+        except IrregularMotionError:
+            raise CrowdError(sources, e) from None
         pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
         slowest = [self._resting_speed / self._metres(i) for i in sources]
         resting = [

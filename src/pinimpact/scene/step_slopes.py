@@ -285,6 +285,9 @@ class StepSlopes:
         found, rows = taken.found, taken.rows
         middle = found.gap_end - 0.5 * taken.h * found.u_end[rows.normals]
         touch = (np.abs(middle) <= taken.touching) | (np.abs(found.gap_end) <= taken.touching)
+        if (found.fast & taken.collides & ~found.arrives).any():  # by Newton's law (16.5)
+            self.boundary |= Boundary.EVENTS_COINCIDE
+            moved.v_end[:] = np.nan
         for i in np.flatnonzero(found.fast & ~taken.collides & touch).tolist():
             row = int(rows.normals[i])
             end = moved.rows.gaps[row] + 0.5 * taken.h * moved.u_end[row]

@@ -26,8 +26,9 @@ from ._kernels.overlap import least_displacement, overlap_at
 from ._kernels.step_impulses import USABLE, invert_trees
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem, widest
-from ._kernels.tolerances import STEPS_SHORTEST, STEPS_SLACK, STEPS_TOGETHER
+from ._kernels.tolerances import STEPS_LONGER, STEPS_SHORTEST, STEPS_SLACK, STEPS_TOGETHER
 from ._kernels.workspace import DENSE_TERMS
+from .crowds import CROWDED, MOST_IMPACTS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import StepForces
@@ -38,15 +39,8 @@ from .step_taken import Near, Removal, StepTaken
 from .step_uniqueness import step_tolerances
 from .switched_off import locked_joints
 
-MOST_IMPACTS = 20
-"""Largest number of instants with impacts in a step; contacts that close later do so without restitution."""
-
 FAILED = 0.1
 """Largest acceptable residual of a contact problem, relative to its velocities."""
-
-LONGER = 2.0
-"""Largest ratio of the lengths of a step and the one before whose mean impulses predict its own: after an
-impact, the short remainder of a step stops a velocity, and a longer step would predict a multiple of that."""
 
 WHOLE, CUT, MISSED, PASSED = range(4)
 """Outcome of a step: accepted to its end; accepted up to an impact or event in it; rejected, as a gap that
@@ -61,7 +55,8 @@ _NO_NUMBERS = np.empty(0, dtype=np.int64)
 class TimeStepping(Integrator):
     """A motion integrated by steps of length `dt`; see `Integrator`."""
 
-    _prepared = False
+    _prepared = _left = False
+    _restitution: Array  # of the impacts left to the next step
     _rest: Rest
     _faces: FacingShapes
 
@@ -78,6 +73,7 @@ class TimeStepping(Integrator):
         if state.warm_start is None:
             state.warm_start = state.pushed = np.zeros(model.nv)
         if self._prepared:
+            self._left, self._restitution[:] = False, 0.0
             self._rest.restart()
             self._faces.clear()
             return
@@ -94,6 +90,7 @@ class TimeStepping(Integrator):
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
         self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
+        self._restitution = np.zeros(len(alike))
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
@@ -120,8 +117,7 @@ class TimeStepping(Integrator):
         self._collide()
 
     def _settle_and_begin(self, arriving: Any = None) -> None:
-        self._rest.wake_all()
-        self._collide()
+        TimeStepping._settle_contacts(self)
         self._trigger_events()
 
     def _step(self, h: float, stop: float, scale: float) -> float:
@@ -141,7 +137,7 @@ class TimeStepping(Integrator):
             if ends[-1] - state.t <= negligible:
                 begin = ends.pop()
                 continue
-            outcome = self._take_step(ends[-1] - state.t, struck < MOST_IMPACTS)
+            outcome = self._take_step(ends[-1] - state.t, struck < MOST_IMPACTS and not self._left)
             struck += outcome in (CUT, MISSED)
             if outcome in (MISSED, PASSED):  # bisect the original step: its times do not depend on the motion
                 while (middle := 0.5 * (begin + ends[-1])) <= state.t:
@@ -170,7 +166,7 @@ class TimeStepping(Integrator):
         may_be_halved = h > max(STEPS_SHORTEST * self._dt, 4.0 * math.ulp(state.t))
         if may_be_halved and self._faces.may_pass(middle, v, h):
             return PASSED
-        if h > LONGER * state.step_before:
+        if h > STEPS_LONGER * state.step_before:
             state.pushed = self._no_change
         state.step_before = h
         t, pushed = state.t, state.pushed
@@ -183,7 +179,8 @@ class TimeStepping(Integrator):
         self.instant.rims.check_step(rows, found, step)
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
-        closing = found.arrives & (found.gap_end < 0.0) & self._collides[rows.near(self.work.contacts)]
+        near = rows.near(self.work.contacts)
+        closing = strikes & found.arrives & (found.gap_end < 0.0) & self._collides[near]
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals]
             slowest, fastest = 0.5 * float(rates[closing].min()), float(rates[closing].max())
@@ -210,10 +207,10 @@ class TimeStepping(Integrator):
                 touches = closing & (gaps <= np.maximum(self._touching, soon * rates))
                 step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
             pressed = np.zeros(len(self._near), dtype=bool)
-            pressed[rows.near(self.work.contacts)] = found.impulse[rows.normals] > 0.0
+            pressed[near] = found.impulse[rows.normals] > 0.0
             self._collide(slowest, soon, fastest, step.taken, pressed)
             return CUT
-        active, moved = ~found.arrives, self._no_change
+        active, moved, self._left, self._restitution[:] = ~found.arrives, self._no_change, False, 0.0
         if overlap > max(self._touching, self._closable_overlap(h, found)):
             moved = self._remove_overlap(step, h, overlap, system)
         if self._continuous is None and step.taken is None:
@@ -242,7 +239,7 @@ class TimeStepping(Integrator):
         self._invert(q, softened)
         system = StepSystem(
             *(self._mass, self._inverse, softened, damped, self._tree, self._start),
-            *(self._rest.joints, self._collides, self._compliances, self._gravity),
+            *(self._rest.joints, self._collides, self._restitution, self._compliances, self._gravity),
         )
         state.warm_start = np.array(state.warm_start)
         rows, room = self._rows(q, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps
@@ -493,7 +490,10 @@ class TimeStepping(Integrator):
         self._faces.place(state.q, state.v, 0.0, touching=max(self._touching, soon * fastest))
         if taken is not None:
             taken.struck = self._faces.corners()
-        self.instant.collide(self._touching, soon, slowest, self._dt * self._gravity, pressed)
+        left = self.instant.collide(self._touching, soon, slowest, self._dt * self._gravity, pressed)
+        if left:
+            self._left, self._restitution[list(left)] = True, list(left.values())
+            self.record.note_once(self.state.t, CROWDED)
         if len(self.record.impacts) > before:
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)

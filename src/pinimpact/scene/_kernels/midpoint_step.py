@@ -213,13 +213,13 @@ def find_arrivals(work, h, strikes, system, rows, acceleration, free, found):
         own = max(abs(free[row] - u_start[row]), h * system.gravity)
         if i < nc:
             own = max(own, h * abs(acceleration[i, 2]))
-        may = strikes if collides[number_of(work, rows, i)] else rows.gap[place] > 0.0
+        may = (strikes and collides[number_of(work, rows, i)]) or rows.gap[place] > 0.0
         found.fast[i] = u_start[row] < -max(work.resting_speed, 2.0 * own)
         arrives[i] = may and found.fast[i]
 
 
 @inlined
-def contact_problem(work, h, system, rows, arrives, slow, free):
+def contact_problem(work, h, system, rows, found, slow, free):
     """Return the `VelocityProblem` of a step, and which of its contacts and scalar rows take part.
 
     Args:
@@ -227,10 +227,10 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
         h: Length of the step [s].
         system: The `StepSystem`.
         rows: The `StepRows`.
-        arrives: (nc + nl,) contacts and limits that do not take part.
+        found: The `StepResult`, with `u_start`, `fast` and `arrives`; contacts that arrive do not take part.
         slow: Speed up to which overlap is closed [m/s].
         free: (rows,) velocities at the end of the step without impulses [m/s]; gap/h is added, so that gaps
-            at the midpoint of the next step are not negative. (16.2)
+            at the midpoint of the next step are not negative, and restitution e u⁻. (16.2), (16.5)
     """
     contacts, held, limits, dry, values, columns, counts, _, gap = rows
     nc, every, n = len(contacts), len(contacts) + len(held), len(free)
@@ -239,7 +239,9 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
         friction[i], compliance[i] = work.friction[contacts[i]], system.compliances[contacts[i]]
     for i in range(nc + len(limits)):
         row = normal_row(nc, every, i)[0]
-        active[i if i < nc else row - 2 * nc] = not arrives[i]
+        active[i if i < nc else row - 2 * nc] = not found.arrives[i]
+        if found.fast[i]:
+            free[row] += system.restitution[number_of(work, rows, i)] * found.u_start[row]
     lower, upper = np.empty(n - 3 * nc), np.empty(n - 3 * nc)
     for a in range(3 * nc, n):
         k = a - 3 * nc
@@ -260,12 +262,13 @@ def contact_problem(work, h, system, rows, arrives, slow, free):
 
 
 @inlined
-def close_gaps(work, h, system, rows, found):
+def close_gaps(work, h, strikes, system, rows, found):
     """Fill in the gaps at the end of a step; return its first collision, normal work and overlap.
 
     Args:
         work: The workspace.
         h: Length of the step [s].
+        strikes: Whether impacts are allowed in this step.
         system: The `StepSystem`.
         rows: The `StepRows`.
         found: The `StepResult`; its `gap_end` is filled.
@@ -281,7 +284,7 @@ def close_gaps(work, h, system, rows, found):
     for i in range(len(gap_end)):
         row, place = normal_row(nc, every, i)
         gap_end[i] = gap[place] + 0.5 * h * u_end[row]
-        if not (found.arrives[i] and system.collides[number_of(work, rows, i)]):
+        if not (strikes and found.arrives[i] and system.collides[number_of(work, rows, i)]):
             overlap = max(overlap, -gap_end[i])
         elif gap_end[i] < 0.0:
             part = part_to_touch(gap[place] / h - 0.5 * u_start[row], u_start[row], u_end[row])
@@ -307,7 +310,9 @@ def adds_energy(h, system, rows, v, pushed, found):
     if work_done <= 0.0:
         return False
     for c in range(len(v)):
-        for d in range(len(v)):
+        for d in range(system.start[c], len(v)):
+            if system.tree[d] != system.tree[c]:
+                break
             energy += 0.5 * system.mass[c, d] * (v[c] * v[d] + h * h * pushed[c] * pushed[d])
     return work_done > STEPS_GAIN * energy
 
@@ -391,7 +396,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)
     slow = work.resting_speed if bent else 0.0
-    problem, active = contact_problem(work, h, system, rows, found.arrives, slow, free)
+    problem, active = contact_problem(work, h, system, rows, found, slow, free)
     given = SOFTEST, SETTLED, begin, mean, found.impulse, found.course
     residual = step_impulses(problem, active, system.tree, *given)
     for c in range(nv):
@@ -401,5 +406,5 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
             v_end[c] += mean[c]
             pushed[c] = mean[c] / h
     velocities(rows, offset, v_end, found.u_end)
-    share, work_done, overlap = close_gaps(work, h, system, rows, found)
+    share, work_done, overlap = close_gaps(work, h, strikes, system, rows, found)
     return residual, share, work_done, overlap

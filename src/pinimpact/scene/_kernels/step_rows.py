@@ -80,6 +80,7 @@ class StepSystem(NamedTuple):
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints at rest, including the world; their velocity stays zero.
         collides: (n + nl,) contacts and limits that close by an impact law, and not by (16.2).
+        restitution: (n + nl,) Newton's coefficients of contacts and limits that close by (16.2) in this step.
         compliances: (n,) relative compliances of all contacts.
         gravity: Gravitational acceleration [m/s²].
     """
@@ -92,6 +93,7 @@ class StepSystem(NamedTuple):
     start: Integers
     rests: Flags
     collides: Flags
+    restitution: Floats
     compliances: Floats
     gravity: float
 

@@ -102,6 +102,10 @@ arise within a step; it is removed at the end."""
 STEPS_TOGETHER = 1e-2
 """Fraction of a step within which impacts are simultaneous: gaps are extrapolated from the midpoint."""
 
+STEPS_LONGER = 2.0
+"""Largest ratio of the lengths of a step and the one before whose mean impulses predict its own: after an
+impact, the short remainder of a step stops a velocity, and a longer step would predict a multiple of that."""
+
 STEPS_SHORTEST = 2.0**-10
 """Smallest fraction of a time step by repeated halving: flat shapes have no thickness that would end it, and
 times must differ by more than rounding."""
