@@ -369,6 +369,40 @@ def test_mimic_joints():
         assert pinimpact.impacts(coupled, data, q, v, struck).v[0].tolist() == hit.v.tolist()
 
 
+@pytest.mark.parametrize("leader", ["arm", "left"])
+def test_mass_matrix_with_mimic_joint_does_not_depend_on_calls_before(leader):
+    # Pinocchio's crba adds to forces of its last call: M, and with it impacts, changed with every call
+    more = """<joint name="last" type="revolute"><parent link="right_finger"/><child link="tip"/>
+      <origin xyz="1 0 0"/><axis xyz="0 1 0"/>{limit}</joint><link name="tip">{inertial}</link>"""
+    urdf = cases.gripper(leader, INERTIAL, more)
+    coupled, free = pin.buildModelFromXML(urdf, mimic=True), pin.buildModelFromXML(urdf)
+    place = {name: k for k, name in enumerate(free.names[1:])}
+    own = [name for name in free.names[1:] if name != "right"]
+    coupling, offset = np.zeros((free.nv, coupled.nv)), np.zeros(free.nv)
+    for name in own:
+        coupling[place[name], coupled.joints[coupled.getJointId(name)].idx_v] = 1.0
+    coupling[place["right"]] = -2.0 * coupling[place[leader]]
+    offset[place["right"]] = 0.1
+    data, v = coupled.createData(), np.array([-1.0, 0.3, 0.5])
+    contact = pinimpact.Contact("tip", pinimpact.Plane(normal=(1, 2, 3)), 0.3, 0.5, offset=(1, 0, 0))
+    for q in np.random.default_rng(0).uniform(-1.0, 1.0, (4, 3)):
+        full = coupling @ q + offset
+        other = pinimpact.contact_matrices(free, free.createData(), full, contact)
+        mass, jacobian = coupling.T @ other.mass @ coupling, other.jacobian @ coupling
+        w = jacobian @ np.linalg.solve(mass, jacobian.T)
+        velocity = jacobian @ v
+        plane = contact.plane if velocity[2] <= 0.0 else pinimpact.Plane(normal=(-1, -2, -3))
+        struck = dataclasses.replace(contact, plane=plane)
+        axes = pinimpact.contact_matrices(free, free.createData(), full, struck).axes @ other.axes.T
+        problem = pinimpact.ImpactProblem(axes @ w @ axes.T, axes @ velocity, 0.3, 0.5)
+        impulse = axes.T @ pinimpact.solve_impact(problem).impulse
+        expected = v + np.linalg.solve(mass, jacobian.T @ impulse)
+        for _ in range(2):
+            found = pinimpact.contact_matrices(coupled, data, q, contact)
+            assert found.mass == pytest.approx(mass, abs=1e-13)
+            assert pinimpact.impact(coupled, data, q, v, struck).v == pytest.approx(expected, abs=1e-12)
+
+
 def test_mimic_joint_of_robot_with_one_velocity():
     # Pinocchio returns the Jacobian of such a frame as a vector
     limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'

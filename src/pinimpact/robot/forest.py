@@ -99,7 +99,18 @@ def joint_jacobian(model: pin.Model, data: Any, q: Array) -> Array:
 
 def mass_matrix(model: pin.Model, data: Any, q: Array) -> Array:
     """Return M (nv, nv) at q (nq,); for a Data or a `Forest`."""
-    return _by_blocks(pin.crba, model, data, q)
+    return _by_blocks(crba, model, data, q)
+
+
+def crba(model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Return `pin.crba` at q (nq,).
+
+    With joints that mimic others, Pinocchio adds forces to those that `data.Fcrb` has from the call before.
+    """
+    if len(model.mimicking_joints) > 0:
+        for forces in data.Fcrb:
+            forces[:] = 0.0
+    return np.asarray(pin.crba(model, data, q))
 
 
 def has_constant_mass(model: pin.Model, data: Any) -> bool:

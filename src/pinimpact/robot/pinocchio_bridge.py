@@ -35,7 +35,7 @@ from ..errors import ModelError
 from ._kernels import tree
 from ._kernels.free_bodies import BODY as BODIES
 from ._kernels.free_bodies import accelerate_bodies, move_bodies
-from .forest import Forest, data_of, parts_of
+from .forest import Forest, crba, data_of, parts_of
 from .names import singular_mass
 from .tolerances import AGREEMENT
 
@@ -68,7 +68,7 @@ def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
 
 
 def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
-    mass = pin.crba(model, data, q)
+    mass = crba(model, data, q)
     with contextlib.suppress(np.linalg.LinAlgError):  # sufficient in most cases, without compiling a kernel
         pivots = np.diag(np.linalg.cholesky(mass[::-1, ::-1]))[::-1] ** 2
         if (np.diag(mass) / pivots).prod() < 1.0 / RANK:
@@ -364,7 +364,7 @@ def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> floa
         state = part.model, part.data, q[part.q]
         own = v[part.v]
         if part.model.armature.any():
-            upper = np.triu(pin.crba(*state))
+            upper = np.triu(crba(*state))
             total += float(own @ (upper @ own) - 0.5 * (own * own) @ upper.diagonal())
         else:
             total += float(pin.computeKineticEnergy(*state, own))
