@@ -70,6 +70,19 @@ def test_precession_of_symmetric_top() -> None:
     assert found[:, 0] == pytest.approx((precession * R * spin).as_matrix(), abs=1e-8)
 
 
+def test_fit_of_fast_rotation() -> None:
+    """The body turns by 40° between frames, about an axis that precesses: the first guess is far off."""
+    A, C = 2.0, 0.7
+    inertia, w, R = np.diag([A, A, C]), np.array([80.0, 0.0, 60.0]), Rotation.from_rotvec([0.1, 0.5, -0.3])
+    t = np.arange(12) / 150
+    precession = Rotation.from_rotvec(np.outer(t, R.apply(inertia @ w) / A))
+    spin = Rotation.from_rotvec(np.outer(t, [0, 0, w[2] * (1.0 - C / A)]))
+    body = Body(np.zeros(3), inertia, np.array([0.0, 0.0, -9.81]))
+    flight = fit_flight(t, np.outer(t**2, [0.0, 0.0, -4.905]), precession * R * spin, 0.0, body)
+    assert flight.spin == pytest.approx(w, abs=1e-5)
+    assert np.abs(flight.residuals).max() < 1e-7
+
+
 def test_fit_of_flight_and_its_covariance() -> None:
     rng = np.random.default_rng(0)
     body = Body(np.zeros(3), np.diag([1.0, 2.0, 2.5]), np.array([0.0, 0.0, -9.81]))

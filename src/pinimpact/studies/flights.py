@@ -15,8 +15,8 @@ from ..scene._kernels.tolerances import ATOL, RTOL
 from ..scene.scene import Scene
 from ..scene.switched_off import altered_model
 
-ITERATIONS = 2
-"""Number of Gauss–Newton iterations, from a start with the noise of one difference; each squares it."""
+ITERATIONS = 20
+"""Largest number of Gauss–Newton iterations; slow spins with little noise need two."""
 
 DIFFERENCE = LITTLE
 """Increment of finite differences by angular velocity [rad/s]; their relative error is 10⁻⁶."""
@@ -126,6 +126,8 @@ def fit_flight(times: Array, com: Array, rotations: Rotation, instant: float, bo
         step = np.linalg.lstsq(slopes.reshape(-1, 6), off.ravel(), rcond=None)[0]
         matrix = Rotation.from_rotvec(step[:3]).as_matrix() @ matrix
         w = w + step[3:]
+        if float(np.abs(slopes @ step).max()) ** 2 <= ATOL:  # an iteration squares the error
+            break
     found, _ = torque_free(matrix[None], w[None], body.inertia, dt)
     off = Rotation.from_matrix(others @ np.swapaxes(found[:, 0], 1, 2)).as_rotvec()
     covariance = np.zeros((6, 6))
