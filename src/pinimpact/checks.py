@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,17 @@ from numpy.typing import ArrayLike
 from .arrays import Array
 from .errors import InputError, UnknownNameError
 
+T = TypeVar("T")
+
 _DOUBLE = np.dtype(np.float64)
+
+
+def with_valid(template: T, **values: Any) -> T:
+    """Return a copy of a frozen dataclass with other values of some fields, which are not checked."""
+    copy = object.__new__(type(template))
+    given = {field.name: template.__dict__[field.name] for field in fields(template)}  # type: ignore[arg-type]
+    copy.__dict__.update(given | values)
+    return copy
 
 
 def real_numbers(field: str, value: Any, expected: str = "an array of real numbers") -> Array:

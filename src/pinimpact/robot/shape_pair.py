@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
+from ..checks import with_valid
 from ..errors import InputError
 from ..geometry._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
 from ..geometry.convex_pair import CODES, Touch, at_one_place, gap, touches
@@ -26,6 +27,8 @@ from .contact import Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
 from .solids import CarriedShape, two_shapes
+
+_PLANE = Plane()
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,12 +207,13 @@ class _Side:
     def tip(self, point: Array, surface: Surface) -> Contact:
         """Return the contact of a point of the core with a surface."""
         place, frame = self.place(point), self.shape.frame
-        return replace(self._basis, frame=frame, offset=place, radius=self.radius, plane=surface)
+        return with_valid(self._basis, frame=frame, offset=place, radius=self.radius, plane=surface)
 
     def plane(self, point: Array, outward: Array) -> Plane:
         """Return the tangent plane of the shape at a point of its core."""
         place = self.place(point + self.radius * outward)
-        return Plane(place, self.turn(outward), body=self.body, name=self.shape.name)
+        given = {"point": place, "normal": self.turn(outward), "body": self.body, "name": self.shape.name}
+        return with_valid(_PLANE, **given)
 
     def line(self, point: Array, along: Array, outward: Array) -> dict[str, Any]:
         """Return the fields of the line along an edge."""
