@@ -615,6 +615,18 @@ def test_uncoupled_contacts_of_any_speed_and_mass_change_no_bit(policy, e):
             assert np.diff(solution.path.clock).min() > 0.0
 
 
+@pytest.mark.parametrize("policy", list(pinimpact.POLICIES))
+def test_rounding_errors_of_a_contact_that_nothing_moves_are_no_approach(policy):
+    # such as a contact of a link that held contacts fix, with a velocity that is zero except for rounding
+    w = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    velocity = np.array([[0.0, 0.0, -1.0], [1e-16, 0.0, -2e-16]])
+    found = solve_impact(ImpactProblem(w, velocity, 0.0, 0.5), simultaneous=policy)
+    assert found.velocity == pytest.approx(np.array([[0.0, 0.0, 0.5], [1e-16, 0.0, -2e-16]]), abs=1e-30)
+    assert found.impulse == pytest.approx(np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 0.0]]), abs=1e-15)
+    assert found.statuses == (Status.SEPARATED, Status.NO_IMPACT)
+    assert not found.flags & Flag.NEAR_JUMP
+
+
 def test_uncoupled_contacts_are_named_by_their_numbers():
     w = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
     problem = ImpactProblem(w, [[0, 0, -1], [0, 0, -2]], 0.5, 0.0)

@@ -197,9 +197,9 @@ def _slopes_of_groups(
     """
     impulse = np.zeros((solution.impulse.size, len(changes)))
     shared, boundary = np.ones(len(changes), dtype=bool), Boundary.NONE
-    for at, part in solution.story.parts:
+    for (at, one), (_, part) in zip(inputs.groups(), solution.story.parts, strict=True):
         own = [change.part(at) for change in changes]
-        found = slopes_along(inputs.part(at), policy, part, own, side, options)
+        found = slopes_along(one, policy, part, own, side, options)
         impulse[rows_of(at)] = found.impulse
         shared &= found.shared
         boundary |= found.boundary
@@ -208,8 +208,8 @@ def _slopes_of_groups(
         inner[np.ix_(rows_of(at), rows_of(at))] = True
     couples = [k for k, change in enumerate(changes) if change.delassus[~inner].any()]
     if couples:
-        one = solution.with_story(parts=())
-        found = slopes_along(inputs, policy, one, [changes[k] for k in couples], side, options)
+        whole = solution.with_story(parts=())
+        found = slopes_along(inputs, policy, whole, [changes[k] for k in couples], side, options)
         impulse[:, couples], shared[couples] = found.impulse, found.shared
         boundary |= found.boundary
     return Slopes(impulse, shared, boundary)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._numeric.tolerances import ROUNDOFF
 from ..arrays import Integers
 from ..checks import counted, finite_array, real_numbers
 from ..errors import InputError, UnstoppableApproachError
@@ -48,6 +49,20 @@ class ManyInputs(NamedTuple):
             *(self.velocity[at], self.friction[at], self.restitution[at], self.stiffness[at]),
             *(self.law, self.surface_velocity[at], self.singular, tuple(self.place(j) for j in at.tolist())),
         )
+
+    def groups(self) -> list[tuple[Integers, ManyInputs]]:
+        """Return the indices and the problem of each group of contacts that W couples.
+
+        Velocities of a group that are all up to `ROUNDOFF` of the largest are set to zero: those of a robot,
+        sums of larger terms, have such rounding errors.
+        """
+        least = ROUNDOFF * float(np.abs(self.velocity).max(initial=0.0))
+        found = [(at, self.part(at)) for at in coupled_groups(self.delassus)]
+        still = [float(np.abs(one.velocity).max(initial=0.0)) <= least for _, one in found]
+        return [
+            (at, one._replace(velocity=np.zeros_like(one.velocity)) if rests else one)
+            for (at, one), rests in zip(found, still, strict=True)
+        ]
 
     def place(self, j: int) -> int:
         """Return the number of contact j in the problem."""

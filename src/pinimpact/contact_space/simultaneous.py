@@ -99,12 +99,13 @@ def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], ve
     Each contact axis is scaled slightly, in v and in W. This preserves redundancy and zeros. Each group of
     coupled contacts is compared with its own largest velocity.
     """
-    groups = coupled_groups(inputs.delassus)
-    if len(groups) > 1:
-        return any(_jumps(simultaneous, inputs.part(at), options, velocity[at]) for at in groups)
+    if len(coupled_groups(inputs.delassus)) > 1:
+        return any(_jumps(simultaneous, one, options, velocity[at]) for at, one in inputs.groups())
+    size = float(np.abs(inputs.velocity).max(initial=0.0))
+    if size == 0.0:
+        return False
     run = find_policy(simultaneous).run
     direction = np.random.default_rng(0).uniform(-1.0, 1.0, inputs.velocity.shape)[first_equal(inputs)]
-    size = float(np.abs(inputs.velocity).max(initial=0.0))
     for change in NEARBY:
         scales = 1.0 + change * direction
         rows = scales.ravel()

@@ -20,10 +20,9 @@ def by_groups(run: Run) -> Run:
 
     @wraps(run)
     def run_each(inputs: ManyInputs, record: bool, **options: Any) -> ManySolution:
-        groups = coupled_groups(inputs.delassus)
-        if len(groups) < 2:
+        if len(coupled_groups(inputs.delassus)) < 2:
             return run(inputs, record, **options)
-        parts = tuple((at, run(inputs.part(at), record, **options)) for at in groups)
+        parts = tuple((at, run(one, record, **options)) for at, one in inputs.groups())
         return _joined(inputs, parts, record)
 
     return run_each
@@ -34,7 +33,8 @@ def _joined(inputs: ManyInputs, parts: tuple[tuple[Any, ManySolution], ...], rec
     n = len(inputs.velocity)
     velocity, impulse, works = np.empty((3, n, 3))
     for at, part in parts:
-        velocity[at], impulse[at], works[at] = part.velocity, part.impulse, part.story.works
+        velocity[at] = part.velocity if part.impulse.any() else inputs.velocity[at]
+        impulse[at], works[at] = part.impulse, part.story.works
     found = [part for _, part in parts]
     whole = solution_of(
         inputs,
