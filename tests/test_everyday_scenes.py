@@ -267,6 +267,25 @@ def test_impact_whose_waves_are_not_followed_is_that_of_newtons_law(friction, mo
     assert np.isnan(left.state).all()
 
 
+def test_locked_joint_is_locked_in_impacts_at_many_contacts(monkeypatch):
+    monkeypatch.setattr(scene_impacts, "BRIEF", 0)
+    monkeypatch.setattr(instant, "FEW", 3)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0, 0.2, 0.3, 0.1), pin.SE3.Identity())
+    slider = model.addJoint(joint, pin.JointModelPZ(), pin.SE3.Identity(), "slider")
+    model.appendBodyToJoint(slider, pin.Inertia.FromSphere(1.0, 0.02), pin.SE3.Identity())
+    contacts = []
+    for k, (x, y) in enumerate(itertools.product((-0.1, 0.1), (-0.15, 0.15))):
+        model.addFrame(pin.Frame(f"{k}", joint, pin.SE3(np.eye(3), np.array([x, y, -0.05])), pin.OP_FRAME))
+        contacts.append(Contact(f"{k}", Plane(), 0.5, 0.6))
+    unbounded(model)
+    scene = Scene(model, contacts, locked=("slider",))
+    run = simulate(scene, np.array([0, 0, 0.15, *UP, 0]), np.zeros(7), 0.2, scheme="time-stepping")
+    assert run.v[-1, 2] > 0.2
+    np.testing.assert_allclose(run.q[:, 7], 0.0, atol=1e-12)
+
+
 def test_pile_with_restitution_gains_no_energy():
     count, size = 6, (0.2, 0.2, 0.1)
     scene = boxes(count, size, 1.0, restitution=0.4)

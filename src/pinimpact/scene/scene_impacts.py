@@ -224,7 +224,7 @@ class SceneImpacts:
         refuse = refuse and not any(e)
         if refuse and len(chosen) > CROWD:
             raise CrowdError(sources, e)
-        crowd = not limit and len(chosen) > self.crowd
+        crowd = not limit and not self._locked and len(chosen) > self.crowd  # steps do not lock joints
         policy = self.policy
         if limit:
             policy, e = "together", [0.0] * len(struck)
