@@ -40,6 +40,7 @@ class Boxes(NamedTuple):
         places: (n, 3) initial centres [m].
         first: (6,) initial velocity of the first box.
         duration: Duration of the motion [s].
+        restitution: Coefficient of all contacts; MuJoCo's contacts have none.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Boxes(NamedTuple):
     places: np.ndarray
     first: np.ndarray
     duration: float
+    restitution: float = 0.0
 
 
 def dominoes(count: int) -> Boxes:
@@ -64,6 +66,10 @@ def dominoes(count: int) -> Boxes:
 def stack(count: int) -> Boxes:
     places = np.array([(0.0, 0.0, 0.05 + 0.1 * k) for k in range(count)])
     return Boxes(f"{count} boxes stand", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 1.0)
+
+
+def with_restitution(boxes: Boxes, e: float) -> Boxes:
+    return boxes._replace(name=f"{boxes.name}, e = {e:g}", restitution=e)
 
 
 def pile(count: int) -> Boxes:
@@ -90,13 +96,25 @@ def scene_of(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[Scene, np.ndar
         model.addJointFrame(joint)
         shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), coal.Box(*size)))
         contacts.append(
-            Contact(geometry=f"box_{k}_0", plane=Plane(), friction=boxes.floor, name=f"floor {k}")
+            Contact(
+                geometry=f"box_{k}_0",
+                plane=Plane(),
+                friction=boxes.floor,
+                restitution=boxes.restitution,
+                name=f"floor {k}",
+            )
         )
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
     for i, j in pairs:
         other = Shape(f"box_{i}_0")
         contacts.append(
-            Contact(geometry=f"box_{j}_0", plane=other, friction=boxes.between, name=f"pair {i} {j}")
+            Contact(
+                geometry=f"box_{j}_0",
+                plane=other,
+                friction=boxes.between,
+                restitution=boxes.restitution,
+                name=f"pair {i} {j}",
+            )
         )
     q0 = np.hstack([boxes.places, np.tile([0, 0, 0, 1.0], (len(boxes.places), 1))]).ravel()
     v0 = np.zeros(model.nv)
@@ -156,7 +174,7 @@ def may_touch(boxes: Boxes) -> list[tuple[int, int]]:
 
 
 def main() -> None:
-    rows, table = {}, [f"{'scene':<20}{'pinimpact':>12}{'MuJoCo':>10}{'ratio':>8}"]
+    rows, table = {}, [f"{'scene':<27}{'pinimpact':>12}{'MuJoCo':>10}{'ratio':>8}"]
     for boxes in (
         dominoes(5),
         dominoes(20),
@@ -167,6 +185,9 @@ def main() -> None:
         apart(10),
         apart(30),
         apart(100),
+        with_restitution(pile(10), 0.3),
+        with_restitution(pile(30), 0.3),
+        with_restitution(apart(100), 0.3),
     ):
         pairs = may_touch(boxes)
         seconds, remark = time_pinimpact(boxes, pairs)
@@ -178,7 +199,7 @@ def main() -> None:
             "remark": remark,
         }
         table.append(
-            f"{boxes.name:<20}{seconds / boxes.duration:>10.2f} s"
+            f"{boxes.name:<27}{seconds / boxes.duration:>10.2f} s"
             f"{mujoco_seconds / boxes.duration:>8.3f} s{seconds / mujoco_seconds:>8.0f}"
         )
     keep("everyday", "\n".join(table) + "\n", {"step": STEP, "scenes": rows})

@@ -472,6 +472,23 @@ def test_command_writes_summary_and_resumes(tmp_path, monkeypatch):
     assert third.output == first.output
 
 
+def test_command_fails_if_all_samples_fail(tmp_path, monkeypatch):
+    from click.testing import CliRunner
+
+    from pinimpact.app.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    pathlib.Path("study.toml").write_text(
+        'scene = "falling_rod"\nsamples = 2\nduration = 0.01\n[over.friction]\n'
+        'distribution = "uniform"\nloc = -0.4\nscale = 0.2\n',
+        encoding="utf-8",
+    )
+    found = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study", "-q"])
+    assert found.exit_code == 1
+    assert "all 2 samples failed" in found.output
+    assert "friction" in found.output
+
+
 def test_change_of_q0_is_in_tangent_space():
     robot = pin.Model()
     joint = robot.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")

@@ -284,6 +284,9 @@ def run_ensemble(
             found = run_study(executor=workers, out=folder, resume=resume, progress=progress)
         page = found.save_summary(folder / "summary.html")
         print_result(found.facts, found.summary, as_json, quiet, {"Samples": folder, "Summary": page})
+        messages = found.columns["message"]
+        if (messages != "").all():
+            raise click.ClickException(f"all {len(messages)} samples failed, the first: {messages[0]}")
 
 
 @main.command()
