@@ -33,10 +33,16 @@ CROWDED = "An impact at many contacts is part of a time step, by Newton's law; f
 class CrowdError(IrregularMotionError):
     """An impact at too many contacts to follow its waves.
 
+    Args:
+        sources: Numbers of its contacts and limits.
+        e: Their coefficients of restitution.
+        followed: Whether its waves were followed.
+
     Attributes:
         left: Coefficient of restitution of each of its contacts and limits, by number.
     """
 
-    def __init__(self, sources: Sequence[int], e: Sequence[float]) -> None:
-        super().__init__(f"scene: {len(sources)} contacts take part in an impact", value=len(sources))
+    def __init__(self, sources: Sequence[int], e: Sequence[float], followed: bool = True) -> None:
+        text = f"scene: {len(sources)} contacts take part in an impact"
+        super().__init__(f"{text} that is not resolved" if followed else text, value=len(sources))
         self.left = dict(zip(sources, e, strict=True))

@@ -223,7 +223,7 @@ class SceneImpacts:
         sources = [touching[k] for k in chosen.tolist()]
         refuse = refuse and not any(e)
         if refuse and len(chosen) > CROWD:
-            raise CrowdError(sources, e)
+            raise CrowdError(sources, e, followed=False)
         crowd = not limit and not self._locked and len(chosen) > self.crowd  # steps do not lock joints
         policy = self.policy
         if limit:
