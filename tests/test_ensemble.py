@@ -447,43 +447,45 @@ def test_summary_page(tmp_path):
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
 
 
-def test_command_writes_summary_and_resumes(tmp_path, monkeypatch):
+def run_command(*options):
+    """Run the command on `study.toml`."""
     from click.testing import CliRunner
 
     from pinimpact.app.cli import main
 
-    monkeypatch.chdir(tmp_path)
+    return CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study", *options])
+
+
+def write_study(samples, friction, scale):
+    """Write `study.toml`, with friction drawn from a uniform distribution, to the working directory."""
     pathlib.Path("study.toml").write_text(
-        'scene = "falling_rod"\nsamples = 3\nduration = 0.01\n[over.friction]\n'
-        'distribution = "uniform"\nloc = 0.2\nscale = 0.4\n',
+        f'scene = "falling_rod"\nsamples = {samples}\nduration = 0.01\n[over.friction]\n'
+        f'distribution = "uniform"\nloc = {friction}\nscale = {scale}\n',
         encoding="utf-8",
     )
-    first = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study"])
+
+
+def test_command_writes_summary_and_resumes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_study(3, 0.2, 0.4)
+    first = run_command()
     assert first.exit_code == 0, first.output
     assert "status: OK 100 %" in first.output
     assert f"Summary: {pathlib.Path('study/summary.html')}" in first.output
     assert "<h2>Quantiles" in pathlib.Path("study/summary.html").read_text(encoding="utf-8")
-    again = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study"])
+    again = run_command()
     assert again.exit_code == 1
     assert "--resume" in again.output
     pathlib.Path("study/samples-000000001.parquet").unlink()
-    third = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study", "--resume"])
+    third = run_command("--resume")
     assert third.exit_code == 0
     assert third.output == first.output
 
 
 def test_command_fails_if_all_samples_fail(tmp_path, monkeypatch):
-    from click.testing import CliRunner
-
-    from pinimpact.app.cli import main
-
     monkeypatch.chdir(tmp_path)
-    pathlib.Path("study.toml").write_text(
-        'scene = "falling_rod"\nsamples = 2\nduration = 0.01\n[over.friction]\n'
-        'distribution = "uniform"\nloc = -0.4\nscale = 0.2\n',
-        encoding="utf-8",
-    )
-    found = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study", "-q"])
+    write_study(2, -0.4, 0.2)
+    found = run_command("-q")
     assert found.exit_code == 1
     assert "all 2 samples failed" in found.output
     assert "friction" in found.output
