@@ -9,7 +9,7 @@ import numpy as np
 from .._numeric.tolerances import ROUNDING
 from ..errors import InputError, LawError, PinimpactError
 from ._kernels.tolerances import FOUND, MISSED
-from .many_inputs import ManyInputs, refuse, solution_of
+from .many_inputs import ManyInputs, refuse, rows_of, solution_of
 from .many_solution import ManySolution
 
 MOST_IMPACTS = 200
@@ -87,7 +87,7 @@ def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
                 value="reflect",
             )
         struck = np.flatnonzero(velocity[2::3] < -rest)
-        rows = (3 * struck[:, None] + np.arange(3)).ravel()
+        rows = rows_of(struck)
         found = np.zeros(len(rows))
         block = np.ascontiguousarray(inputs.delassus[np.ix_(rows, rows)])
         none = np.zeros(len(struck))

@@ -16,7 +16,7 @@ from ._kernels.tolerances import MISSED
 from .derivatives import Boundary, Derivatives
 from .inputs import Array
 from .many_inputs import ManyInputs, rows_of
-from .many_solution import ManySolution
+from .many_solution import ManySolution, Run
 from .problem import ZERO
 from .simultaneous import find_policy
 
@@ -235,7 +235,7 @@ def _reason(inputs: ManyInputs, change: Change, slope: _Slope) -> Boundary:
 class _Differences:
     """Differences of the impulses P of an impact along directions of its data."""
 
-    def __init__(self, inputs: ManyInputs, run: Callable[..., ManySolution], impulse: Array) -> None:
+    def __init__(self, inputs: ManyInputs, run: Run, impulse: Array) -> None:
         self._inputs, self._run, self._impulse = inputs, run, impulse
         self._unknown = np.full_like(impulse, np.nan)
         self._moves = np.flatnonzero(inputs.delassus.any(axis=1))

@@ -274,6 +274,10 @@ def factors_of(stiffness: tuple[float, float]) -> tuple[float, float]:
     return low, high
 
 
+Run = Callable[..., ManySolution]
+"""run(inputs, record, **options): solves an impact at n contacts by a policy."""
+
+
 class PartSolution(Solution):
     """The result at one contact of an impact at several contacts; `status` is its own, `flags` those of all.
 

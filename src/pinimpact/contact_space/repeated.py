@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
 
@@ -12,10 +11,8 @@ from ..arrays import Integers
 from ._kernels.tolerances import SLOW
 from .inputs import Array
 from .many_inputs import ManyInputs, solution_of
-from .many_solution import ManyPath, ManySolution, Segments
+from .many_solution import ManyPath, ManySolution, Run, Segments
 from .solution import Segment
-
-Run = Callable[..., ManySolution]
 
 
 def first_equal(inputs: ManyInputs) -> Integers:

@@ -19,7 +19,7 @@ from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
 from .many_inputs import ManyInputs, coupled_groups, many_inputs, solution_of
-from .many_solution import ManySolution
+from .many_solution import ManySolution, Run
 from .methods import check_options
 from .one_contact import solve_inputs
 from .problem import ImpactProblem
@@ -27,8 +27,6 @@ from .repeated import each_once, first_equal
 from .solution import Segment
 from .uncoupled import by_groups
 from .waves import RTOL, kernels_of_waves, propagate_waves
-
-Run = Callable[..., ManySolution]
 
 
 @dataclass(frozen=True, slots=True)

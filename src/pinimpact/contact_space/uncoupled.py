@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
 
@@ -10,9 +9,7 @@ import numpy as np
 
 from .inputs import Array
 from .many_inputs import ManyInputs, coupled_groups, solution_of
-from .many_solution import ManyPath, ManySolution, Segments
-
-Run = Callable[..., ManySolution]
+from .many_solution import ManyPath, ManySolution, Run, Segments
 
 
 def by_groups(run: Run) -> Run:

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from ..errors import IrregularMotionError
 
 CROWD = 16
-"""Number of contacts above which an impact without restitution is left to time steps, with `scheme="auto"`:
-the cost of its events grows steeply with their number."""
+"""Number of contacts above which an impact is left to time steps, with `scheme="auto"`: without restitution
+always, with restitution if its waves last long. The cost of its events grows steeply with their number."""
 
 FEW = 8
-"""Number of contacts up to which adaptive steps integrate such an impact, with `scheme="auto"`: with more
-they take seconds, and rarely find a limit e → 0."""
+"""Number of contacts up to which adaptive steps integrate an impact: with more they take seconds, and rarely
+find a limit e → 0. It applies in time steps, and to impacts without restitution with `scheme="auto"`."""
 
 BRIEF = 10
 """Largest number of steps per contact, between events, of an impact at many contacts during time steps: it

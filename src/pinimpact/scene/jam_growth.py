@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from ..arrays import Array, Bools
+from ..contact_space.many_inputs import rows_of
 from ._kernels.tolerances import NEGLIGIBLE
 
 MOST_CHOSEN = 12
@@ -86,7 +87,7 @@ def _fastest_growth(
     The forces have a positive sum, and the largest magnitude is 1. Also returned are the normal accelerations
     (n,) of all contacts under these forces.
     """
-    places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
+    places = rows_of(np.array(active))
     rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
     part = delassus[np.ix_(places, places)]
     system = part[rows][:, rows] - part[rows] @ along

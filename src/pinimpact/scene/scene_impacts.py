@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from .._numeric.tolerances import RANK, TINY
 from ..arrays import Array, Bools, Integers
+from ..contact_space.many_inputs import rows_of
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -230,7 +231,7 @@ class SceneImpacts:
             policy, e = "together", [0.0] * len(struck)
         delassus, response = matrices.delassus, matrices.response
         if len(chosen) < len(touching):
-            places = (3 * chosen[:, None] + np.arange(3)).ravel()
+            places = rows_of(chosen)
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
         accuracy = 0.0 if crowd or (refuse and len(chosen) > FEW) else self._accuracy(velocity)
@@ -322,9 +323,10 @@ class SceneImpacts:
 
     def refuse_crowd(self, contacts: Integers) -> None:
         """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
+        if len(contacts) <= CROWD:
+            return
         ends = self._roots[self._dynamics.work.contact_joints[contacts]]
-        count = len(np.unique(islands(self._roots, ends)[ends[ends > 0]]))  # the world connects nothing
-        if len(contacts) > CROWD and count > ISLANDS:
+        if len(np.unique(islands(self._roots, ends)[ends[ends > 0]])) > ISLANDS:  # the world connects nothing
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies are active at once")
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
