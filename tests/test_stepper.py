@@ -482,3 +482,58 @@ def test_time_steps_end_where_times_have_few_digits():
     assert stepper.t == pytest.approx(1e12 + 0.6, abs=1e-3)
     assert stepper.trajectory.impacts
     assert stepper.q[2] > -1e-9
+
+
+def arm_on_floor(friction):
+    """Return a scene of a planar arm of three links whose tip is on the floor, and its posture."""
+    model, joint, place = pin.Model(), 0, np.zeros(3)
+    for _ in range(3):
+        joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3(np.eye(3), place), f"joint {joint}")
+        place = np.array([1.0, 0, 0])
+        inertia = pin.Inertia(1.0, 0.5 * place, 0.1 * np.eye(3))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", joint, pin.SE3(np.eye(3), place), pin.FrameType.OP_FRAME))
+    contact = Contact("tip", FLOOR, friction=friction, name="tip")
+    return Scene(model, [contact]), np.radians([-60.0, 60.0, 60.0])
+
+
+@pytest.mark.parametrize(("friction", "mode"), [(5.0, "stick"), (0.1, "slip")])
+def test_new_forces_in_contact_equal_a_new_start(friction, mode):
+    scene, q = arm_on_floor(friction)
+    stepper, rng = Stepper(scene, q, np.zeros(3), rtol=1e-12, atol=1e-14), np.random.default_rng(7)
+    stepper.step(np.zeros(3), 1e-3)
+    other = Stepper(scene, stepper.q, stepper.v, rtol=1e-12, atol=1e-14)
+    for _ in range(20):
+        other.reset(stepper.q, stepper.v)
+        tau = rng.uniform(-1.0, 1.0, 3)
+        for one in (stepper, other):
+            one.step(tau, 1e-3)
+        assert stepper.q == pytest.approx(other.q, abs=1e-14)
+        assert stepper.v == pytest.approx(other.v, abs=1e-13)
+        half = stepper.t - 5e-4, other.t - 5e-4
+        force, same = (one.trajectory.forces("tip", t) for one, t in zip((stepper, other), half, strict=True))
+        assert force == pytest.approx(same, rel=1e-10)
+    assert [m.mode for m in stepper.trajectory.modes] == [mode]
+
+
+def test_new_forces_in_contact_need_no_evaluation():
+    scene, q = arm_on_floor(5.0)
+    stepper, counts = Stepper(scene, q, np.zeros(3), rtol=1e-6), []
+    for k in range(30):
+        stepper.step([0.1 * k, 0.0, 0.0], 1e-3)
+        counts.append(stepper.trajectory.statistics["evaluations"])
+    assert set(np.diff(counts[10:])) == {3}  # the stages of the method of order 3
+
+
+@pytest.mark.parametrize("kind", COPIES)
+def test_copies_in_contact_are_bitwise_equal_under_new_forces(kind):
+    scene, q = arm_on_floor(5.0)
+    one = Stepper(scene, q, np.zeros(3))
+    for k in range(5):
+        one.step([0.1 * k, 0.0, 0.0], 1e-3)
+    other = COPIES[kind](one)
+    for stepper in (one, other):
+        for k in range(5):
+            stepper.step([-0.1 * k, 0.2 * k, 0.0], 1e-3)
+    assert np.array_equal(one.trajectory.q, other.trajectory.q)
+    assert np.array_equal(one.trajectory.v, other.trajectory.v)

@@ -18,7 +18,7 @@ from .effects import CROWD
 from .event_watch import EventWatch
 from .hybrid_state import HybridState
 from .integrator import Integrator
-from .progress import BY_EVENTS, RUBBING, ended
+from .progress import BY_EVENTS, ended
 from .recorder import Mark
 from .records import SteppedInterval
 from .time_stepping import TimeStepping
@@ -269,6 +269,6 @@ class Alternating(TimeStepping):
         self._sample()
         self.progress.mark()
         state.cut_short, state.events_since = False, len(self.record.dense_steps)
-        joints, contacts = state.works[RUBBING].tolist()
-        state.rubbed = joints, contacts
+        _, *rubbed, _ = state.works.tolist()
+        state.rubbed = tuple(rubbed)
         return self.dynamics.first_length()

@@ -63,7 +63,9 @@ class DenseStep:
 
     def work_at(self, t: float) -> Array:
         """Return the work (`WORKS`,) [J] at a time [s] within the step."""
-        increment = np.empty(len(self.w))
-        coefficients = self.coefficients[:, -len(self.w) :]
+        coefficients = self.coefficients[:, -WORKS:]
+        if t == self.start + self.h:
+            return np.asarray(self.w + coefficients[0])
+        increment = np.empty(WORKS)
         dense_output.interpolate(coefficients, (t - self.start) / self.h, increment)
         return self.w + increment

@@ -295,10 +295,11 @@ class SceneDynamics:
         self.check()
         return float(bounce)
 
-    def finish(self, t: float, h: float, error: float, explicit: bool) -> None:
-        """Finish a step and locate the first event in it; see `smooth_motion.finish`."""
-        smooth_motion.finish(self.work, t, h, error, explicit)
+    def finish(self, t: float, h: float, error: float, explicit: bool) -> float:
+        """Finish a step and return the time of the first event in it [s]; see `smooth_motion.finish`."""
+        event_time: float = smooth_motion.finish(self.work, t, h, error, explicit)
         self.check()
+        return event_time
 
     def first_length(self) -> float:
         """Return a conservative size for the first step of a smooth motion [s], from its accelerations."""
@@ -360,6 +361,7 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         contact_modes.set_modes,
         smooth_motion.begin,
         smooth_motion.modes_continue,
+        smooth_motion.replace_force,
         force_bound.margin_of_forces,
         force_choice.doubtful_margin,
         step_dop853.attempt,

@@ -61,6 +61,16 @@ class ClosedSet(NamedTuple):
             return True
         return self.renewed and before is not None and np.array_equal(self.modes, before.modes)
 
+    @property
+    def keeps_forces(self) -> bool:
+        """Whether the forces of the motion depend on those at its start."""
+        return len(self.known) > 0 and bool(self.known.any())
+
+    def under(self, work: SceneWorkspace) -> ClosedSet:
+        """Return this set under the present force of the control."""
+        control, speed = work.control_force.copy(), work.direction_speed
+        return self._replace(control=control, direction_speed=speed, renewed=False)
+
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:
         """Return the present set; None if nothing is active and no joint slides with dry friction."""

@@ -22,7 +22,7 @@ from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
-from .dense_step import WORKS, DenseStep
+from .dense_step import DenseStep
 from .event_watch import EventWatch, Interruption
 from .events import as_events
 from .forces import ClosedSet, EvaluatedForces
@@ -129,14 +129,18 @@ class Integrator:
     def _continue_with(self, state: HybridState) -> None:
         """Restore the workspace of the kernels from `state.memory`."""
         if state.memory is not None:
-            values, directions = state.memory
+            values, evaluated, directions = state.memory
             self.work.set_values(values)
+            if evaluated is not None:
+                self.work.minverse[:], self.work.acceleration[:] = evaluated
             self.shapes.continue_with(directions)
 
     def value(self) -> HybridState:
         """Return the complete state, including the workspace, for copies, pickling and comparison."""
-        directions = self.shapes.directions
-        return self.state.copy(memory=(self.work.values(), None if directions is None else directions.copy()))
+        work, directions = self.work, self.shapes.directions
+        evaluated = (work.minverse.copy(), work.acceleration.copy()) if work.evaluated else None
+        apart = None if directions is None else directions.copy()
+        return self.state.copy(memory=(work.values(), evaluated, apart))
 
     def copy(self) -> Integrator:
         """Return an independent motion in the same state."""
@@ -188,11 +192,15 @@ class Integrator:
 
     def hold_force(self, tau: Array) -> None:
         """Replace the constant generalized force (nv,) from the present time on."""
-        if tau.tobytes() == self.work.control_force.tobytes():
+        state, work = self.state, self.work
+        if tau.tobytes() == work.control_force.tobytes():
             return
-        self.work.control_force[:] = tau
+        if smooth_motion.replace_force(work, tau):
+            state.bounce = math.inf
+            state.closed = state.closed and state.closed.under(work)
+            return
         self._begin_motion()
-        if not smooth_motion.modes_continue(self.work):
+        if not smooth_motion.modes_continue(work):
             self._settle_and_begin()
 
     def resume(self) -> None:
@@ -262,15 +270,13 @@ class Integrator:
         outcome = self.progress.stalled(scale) or self._compute(h, stop - t)
         if isinstance(outcome, IrregularMotionError):
             return self._resolve_jam_or_raise(outcome)
-        trial, natural, directions = outcome
+        trial, natural, directions, time = outcome
         state.steps += 1
-        if self.dynamics.constrained:
-            self.progress.check_drift()
+        self.progress.check_drift()
         start = t, trial, state.q, state.v, state.works
         step = DenseStep(*start, work.dense_coefficients.copy(), work.joint_charts, state.closed, directions)
-        self.progress.check_friction(step, min(work.event_time, step.end))
+        self.progress.check_friction(step, min(time, step.end))
         self.record.dense_steps.append(step)
-        time = work.event_time
         arriving = self._arriving() if time <= step.end else None
         meeting = None
         if self.shapes:
@@ -293,7 +299,9 @@ class Integrator:
         longer = trial * work.growth
         return max(longer, natural) if state.cut_short else longer
 
-    def _compute(self, h: float, left: float) -> tuple[float, float, Array | None] | IrregularMotionError:
+    def _compute(
+        self, h: float, left: float
+    ) -> tuple[float, float, Array | None, float] | IrregularMotionError:
         """Compute a step whose error is within the tolerances.
 
         Args:
@@ -301,8 +309,9 @@ class Integrator:
             left: Largest step size [s].
 
         Returns:
-            The step size, the step size to try next if an event cuts the step, and the directions of slip at
-            its start and end; or the error to raise if no step size is small enough.
+            The step size, the step size to try next if an event cuts the step, the directions of slip at its
+            start and end, and the time of the first event in it [s], infinite if there is none; or the error
+            to raise if no step size is small enough.
         """
         state, work, t = self.state, self.work, self.state.t
         # rejected steps show where a continuous control jumps, so the end of slip does not limit them
@@ -317,15 +326,16 @@ class Integrator:
                     "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
                     value=work.rtol,
                 )
-            method, work.method = self._method(trial), 0
-            if method is step_dop853 and state.cut_short and trial == left:
-                work.method = bisect_right(state.low_orders_from, state.steps)
+            method = self._method(trial)
+            explicit = method is step_dop853
+            low = explicit and state.cut_short and trial == left
+            order = work.method = bisect_right(state.low_orders_from, state.steps) if low else 0
             error = method.attempt(work, t, trial, work.rtol, work.atol)
             if error > 1.0:
                 self.dynamics.check()
                 state.rejected += 1
-                if work.method > 0:
-                    higher, later = state.low_orders_from[: work.method - 1], state.steps + HIGH_ORDER
+                if order > 0:
+                    higher, later = state.low_orders_from[: order - 1], state.steps + HIGH_ORDER
                     state.low_orders_from = (*higher, later, later)[:2]
                 else:
                     natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
@@ -338,9 +348,9 @@ class Integrator:
             if not self.instant.rims.jump(work.q0, work.q1):
                 slips = state.closed is not None and state.closed.slips
                 directions = np.array([work.start_directions, work.end_directions]) if slips else None
-                self.dynamics.finish(t, trial, error, method is step_dop853)
-                if work.event_time >= t:
-                    return trial, natural, directions
+                time = self.dynamics.finish(t, trial, error, explicit)
+                if time >= t:
+                    return trial, natural, directions, time
             state.rejected += 1
             h = 0.5 * trial
 
@@ -353,19 +363,18 @@ class Integrator:
     def _complete(self, step: DenseStep, end: float) -> None:
         """Accept a step without an event: advance the state to its end and correct constraint drift."""
         state, work = self.state, self.work
-        state.works = state.works + step.coefficients[0, -WORKS:]
+        state.works = step.work_at(step.end)
         state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
         if work.force_bound_ignored and work.end_margin >= 0.0:
             work.force_bound_ignored = False
         state.bounce = math.inf
-        kept = state.closed is not None and bool(state.closed.known.any())  # its distribution depends on time
-        if self.dynamics.constrained and (
-            work.drift_at_end > self.drift_tolerance or work.force_bound_ignored or kept
-        ):
-            if work.force_bound_ignored:
+        kept = state.closed is not None and state.closed.keeps_forces
+        beyond = work.force_bound_ignored
+        if work.drift_at_end > self.drift_tolerance or beyond or kept:
+            if beyond:
                 self._note_violated_bounds(-work.end_margin)
-            if work.force_bound_ignored or kept:
+            if beyond or kept:
                 self._settle()
             else:
                 self.instant.correct_constraint_drift()

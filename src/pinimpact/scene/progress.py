@@ -25,9 +25,6 @@ WHOLE = 0.999
 BY_EVENTS = 0.5
 """Fraction of steps that end at events from which on events, and not a control, make the steps short."""
 
-RUBBING = slice(1, 3)
-"""Entries of the work vector that are dissipation by friction, in joints and in contacts."""
-
 DRIFTED = 1e4
 """Largest constraint drift in a step, relative to the tolerance of positions: in random scenes the ratio is
 below 2, and about 100 where a joint and a contact constrain nearly the same motion."""
@@ -123,10 +120,10 @@ class Progress:
             IrregularMotionError: It does.
         """
         state, work = self._state, self._instant.dynamics.work
-        joints, contacts = state.works[RUBBING].tolist()
+        _, joints, contacts, _ = state.works.tolist()
         least_joints, least_contacts = state.rubbed
         state.rubbed = least_joints, least_contacts = min(joints, least_joints), min(contacts, least_contacts)
-        by_joints, by_contacts = step.work_at(until)[RUBBING].tolist()
+        _, by_joints, by_contacts, _ = step.work_at(until).tolist()
         gained = max(by_joints - least_joints, by_contacts - least_contacts)
         at_once = max(by_joints - joints, by_contacts - contacts)
         if not gained > self._little:

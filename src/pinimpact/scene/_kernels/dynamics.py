@@ -210,6 +210,7 @@ def evaluate_without_contacts(work, t, powers):
             return
     drive(work)
     work.evaluations += 1
+    work.evaluated = False
     contact_forces.joint_forces(work, powers)
     call_python(work, ABA)
 
@@ -217,6 +218,7 @@ def evaluate_without_contacts(work, t, powers):
 @inlined
 def invert_mass_matrix(work):
     """Fill `minverse` at the state last evaluated; return whether this succeeded."""
+    work.evaluated = False
     return call_python(work, INVERT)
 
 
@@ -239,6 +241,17 @@ def evaluate(work, t, out):
         *(work, work.active_index, work.contact_jacobian, work.contact_velocity),
         *(work.contact_acceleration, work.surface_velocity, work.contact_gap),
     )
+    add_forces(work, out)
+
+
+@declared(SceneWorkspace, FLOATS)
+@external
+def add_forces(work, out):
+    """Add the effect of the forces (9.3) to v̇ in `out`, see `evaluate`.
+
+    M⁻¹ and the motion of the active contacts without contact forces are those in the workspace.
+    """
+    n = len(work.acceleration)
     effective = contact_forces.set_up_equations(work, out[:n])
     system, target = work.system, work.target
     total = 0.0

@@ -9,12 +9,13 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign, filled
+from ..._numeric.products import apply_symmetric, dot
 from ..._numeric.tolerances import EPS
 from . import dynamics, slip, step_dop853
 from .constraint_drift import constraint_drift
-from .contact_forces import FREE, SLIP
+from .contact_forces import FREE, SLIP, joint_forces
 from .events.registry import find_first_event
-from .force_choice import choose_forces
+from .force_choice import choose_forces, doubtful_margin
 from .samples import record_sample, speed_along
 from .stiff_drives import rate_of_drives
 from .tolerances import ITERATED, STILL
@@ -32,22 +33,16 @@ def begin(work, t, q, v):
     n = len(v)
     assign(work.q0, q)
     assign(work.v0, v)
-    slip.set_certain_speed(work)
-    work.direction_speed = min(slip.certain(work), STILL * work.stick_speed)
+    _set_speeds(work)
     dynamics.set_state(work, q, v)
     for i in range(len(rates)):
         filled(rates[i, 2 * n :], 0.0)
     assign(rates[0, :n], v)
     dynamics.evaluate(work, t, rates[0, n:])
     choose_forces(work, t, rates[0, n:])
-    for m in range(n):
-        work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
     slip.turn_references(work, work.contact_velocity)
-    record_sample(work, 0, 0.0)
-    work.slip_stiffness = slip.stiffness_of_slip(work)
-    work.slip_ends = _slip_ends(work, rates[0])
+    _set_start(work)
     work.drive_rate = rate_of_drives(work)
-    work.previous_length = 0.0
     guess = math.inf
     if len(gaps) == 0:
         return guess
@@ -62,6 +57,26 @@ def begin(work, t, q, v):
             if fall > 0.0:
                 guess = min(guess, 2.0 * gaps[i, 1] / fall)
     return guess
+
+
+@inlined
+def _set_speeds(work):
+    """Set the speeds below which slip is uncertain, or keeps its direction, at the start of a motion."""
+    slip.set_certain_speed(work)
+    work.direction_speed = min(slip.certain(work), STILL * work.stick_speed)
+
+
+@inlined
+def _set_start(work):
+    """Set the data of the first sample and of step size control from the rates at the start of a motion."""
+    rates, n = work.stage_rates, work.nv
+    for m in range(n):
+        work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
+    record_sample(work, 0, 0.0)
+    work.slip_stiffness = slip.stiffness_of_slip(work)
+    work.slip_ends = _slip_ends(work, rates[0])
+    work.previous_length = 0.0
+    work.evaluated = work.active_contacts + work.active_scalars > 0
 
 
 @inlined
@@ -82,6 +97,41 @@ def _slip_ends(work, rates):
             if rate < 0.0 and speed > work.certain_speed:
                 ends = min(ends, -speed / rate)
     return ends
+
+
+@declared(SceneWorkspace, FLOATS)
+@jit
+def replace_force(work, tau):
+    """Replace the constant generalized force (nv,) where the next step starts; return whether it can start.
+
+    Accelerations are linear in it, and M⁻¹ and Jacobians of the last evaluation are used again. If that was
+    at another state, or the modes may not hold with the new force, the motion has to begin anew.
+    """
+    control, jacobian, free = work.control_force, work.contact_jacobian, work.contact_acceleration
+    n, modes, gaps, rates = work.nv, work.modes, work.start_gaps, work.stage_rates
+    change, response = np.empty(n), np.empty(n)
+    for j in range(n):
+        change[j] = tau[j] - control[j]
+        control[j] = tau[j]
+    if not (work.evaluated and work.forces_unique) or work.force_bound_ignored or work.driven > 0:
+        return False
+    for i in range(len(gaps)):
+        if modes[i] == FREE and abs(gaps[i, 0]) <= work.touching_gap:
+            return False
+    apply_symmetric(work.minverse, change, response)
+    acceleration, out = work.acceleration, rates[0, n:]
+    dynamics.set_state(work, work.q0, work.v0)
+    joint_forces(work, out[n:])
+    for j in range(n):
+        acceleration[j] += response[j]
+        out[j] = acceleration[j]
+    for k in range(len(free)):
+        for d in range(3):
+            free[k, d] += dot(jacobian[k, d], response)
+    dynamics.add_forces(work, out)
+    _set_speeds(work)
+    _set_start(work)
+    return work.forces_unique and work.force_margin > doubtful_margin(work) and modes_continue(work)
 
 
 @declared(SceneWorkspace)
@@ -127,6 +177,9 @@ def finish(work, t, h, error, explicit):
         h: Length of the step [s].
         error: Error of the step relative to the tolerance.
         explicit: Whether the step was explicit.
+
+    Returns:
+        The time of the first event [s]: infinite if there is none, −∞ if the step has to be repeated.
     """
     work.step_start, work.step_length = t, h
     work.end_margin = work.force_margin
@@ -164,6 +217,7 @@ def finish(work, t, h, error, explicit):
         set_growth(work, h, error)
     elif work.event_time == -math.inf:  # the step will be repeated with a smaller size
         slip.restore_directions(work)
+    return work.event_time
 
 
 @inlined

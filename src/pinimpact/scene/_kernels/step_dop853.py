@@ -85,6 +85,7 @@ def attempt(work, t, h, rtol, atol):
                 reactions[i, m] = rates[i, n + m] - work.acceleration[m]
             if SAMPLES[which, i] > 0:
                 record_sample(work, SAMPLES[which, i], ALL_NODES[which, i])
+    work.evaluated = closed
     magnitudes(work.joint_charts, work.q0, work.tolerance_sizes)
     error, reaction, first, weights = 0.0, 0.0, 0, ERRORS[which]
     rates, reactions = rates[: last + 1], reactions[: last + 1]

@@ -129,6 +129,7 @@ class SceneWorkspace(Workspace):
     forces_unique = flag("whether the motion determines the forces; else they are those of least norm")
     callback_failed = flag("whether a call into Python or Pinocchio raised an exception")
     evaluations = integer("number of evaluations of v̇")
+    evaluated = flag("whether M⁻¹ and the motion without contact forces are those where the next step starts")
 
     # thresholds
     gap_floor = real("rounding error of gaps: one above its negative is not closed [m]")
