@@ -193,6 +193,21 @@ class SceneDynamics:
             self.work.callback_failed = False
             raise_kept_error()
 
+    # ---- copies
+
+    def values(self) -> tuple[Any, ...]:
+        """Return the values of the workspace, and of Pinocchio's arrays if they are used again."""
+        work = self.work
+        evaluated = (work.minverse.copy(), work.acceleration.copy()) if work.evaluated else None
+        return work.values(), evaluated
+
+    def set_values(self, values: tuple[Any, ...]) -> None:
+        """Restore the result of `values`."""
+        of_workspace, evaluated = values
+        self.work.set_values(of_workspace)
+        if evaluated is not None:
+            self.work.minverse[:], self.work.acceleration[:] = evaluated
+
     # ---- active contacts
 
     def fastest_approach(

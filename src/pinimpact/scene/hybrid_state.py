@@ -70,9 +70,8 @@ class HybridState:
         coarse: Step size in it [s].
         handed_back, events_since: End of the last such interval [s], and the number of steps at that time.
         stepped: All such intervals.
-        memory: Values of the workspace; M⁻¹ and v̇ without contact forces, or None if they are not used
-            again; the directions (p, 3) along which pairs of shapes are apart. None while the motion is being
-            integrated.
+        memory: Values of the dynamics, and the directions (p, 3) along which pairs of shapes are apart; None
+            while the motion is being integrated.
     """
 
     t: float

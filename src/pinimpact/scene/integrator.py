@@ -129,18 +129,15 @@ class Integrator:
     def _continue_with(self, state: HybridState) -> None:
         """Restore the workspace of the kernels from `state.memory`."""
         if state.memory is not None:
-            values, evaluated, directions = state.memory
-            self.work.set_values(values)
-            if evaluated is not None:
-                self.work.minverse[:], self.work.acceleration[:] = evaluated
+            values, directions = state.memory
+            self.dynamics.set_values(values)
             self.shapes.continue_with(directions)
 
     def value(self) -> HybridState:
         """Return the complete state, including the workspace, for copies, pickling and comparison."""
-        work, directions = self.work, self.shapes.directions
-        evaluated = (work.minverse.copy(), work.acceleration.copy()) if work.evaluated else None
+        directions = self.shapes.directions
         apart = None if directions is None else directions.copy()
-        return self.state.copy(memory=(work.values(), evaluated, apart))
+        return self.state.copy(memory=(self.dynamics.values(), apart))
 
     def copy(self) -> Integrator:
         """Return an independent motion in the same state."""
@@ -270,11 +267,9 @@ class Integrator:
         outcome = self.progress.stalled(scale) or self._compute(h, stop - t)
         if isinstance(outcome, IrregularMotionError):
             return self._resolve_jam_or_raise(outcome)
-        trial, natural, directions, time = outcome
+        step, natural, time = outcome
         state.steps += 1
         self.progress.check_drift()
-        start = t, trial, state.q, state.v, state.works
-        step = DenseStep(*start, work.dense_coefficients.copy(), work.joint_charts, state.closed, directions)
         self.progress.check_friction(step, min(time, step.end))
         self.record.dense_steps.append(step)
         arriving = self._arriving() if time <= step.end else None
@@ -294,14 +289,12 @@ class Integrator:
         if time <= step.end:
             self._end_at_event(step, time, arriving)
             return natural
-        state.cut_short = trial == stop - t
+        state.cut_short = step.h == stop - t
         self._complete(step, stop if state.cut_short else step.end)
-        longer = trial * work.growth
+        longer = step.h * work.growth
         return max(longer, natural) if state.cut_short else longer
 
-    def _compute(
-        self, h: float, left: float
-    ) -> tuple[float, float, Array | None, float] | IrregularMotionError:
+    def _compute(self, h: float, left: float) -> tuple[DenseStep, float, float] | IrregularMotionError:
         """Compute a step whose error is within the tolerances.
 
         Args:
@@ -309,9 +302,8 @@ class Integrator:
             left: Largest step size [s].
 
         Returns:
-            The step size, the step size to try next if an event cuts the step, the directions of slip at its
-            start and end, and the time of the first event in it [s], infinite if there is none; or the error
-            to raise if no step size is small enough.
+            The step, the step size to try next if an event cuts it, and the time of the first event in it
+            [s], infinite if there is none; or the error to raise if no step size is small enough.
         """
         state, work, t = self.state, self.work, self.state.t
         # rejected steps show where a continuous control jumps, so the end of slip does not limit them
@@ -350,7 +342,8 @@ class Integrator:
                 directions = np.array([work.start_directions, work.end_directions]) if slips else None
                 time = self.dynamics.finish(t, trial, error, explicit)
                 if time >= t:
-                    return trial, natural, directions, time
+                    start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
+                    return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
             state.rejected += 1
             h = 0.5 * trial
 
@@ -366,11 +359,9 @@ class Integrator:
         state.works = step.work_at(step.end)
         state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
-        if work.force_bound_ignored and work.end_margin >= 0.0:
-            work.force_bound_ignored = False
+        beyond = work.force_bound_ignored = work.force_bound_ignored and not work.end_margin >= 0.0
         state.bounce = math.inf
         kept = state.closed is not None and state.closed.keeps_forces
-        beyond = work.force_bound_ignored
         if work.drift_at_end > self.drift_tolerance or beyond or kept:
             if beyond:
                 self._note_violated_bounds(-work.end_margin)

@@ -105,7 +105,7 @@ def replace_force(work, tau):
     """Replace the constant generalized force (nv,) where the next step starts; return whether it can start.
 
     Accelerations are linear in it, and M⁻¹ and Jacobians of the last evaluation are used again. If that was
-    at another state, or the modes may not hold with the new force, the motion has to begin anew.
+    at another state, or the modes may not hold with the new force, the motion has to be restarted.
     """
     control, jacobian, free = work.control_force, work.contact_jacobian, work.contact_acceleration
     n, modes, gaps, rates = work.nv, work.modes, work.start_gaps, work.stage_rates
