@@ -41,9 +41,9 @@ def closing(t, q, v):
 def test_time_steps_replace_modes_with_forces_beyond_their_bounds():
     robot = gripper()
     contacts = [Contact(geometry="cube", plane=Plane(name="floor"), friction=0.5, restitution=0.2)]
-    contacts += [Contact(geometry=name, plane=Shape("cube"), friction=0.05) for name in ("left", "right")]
+    contacts += [Contact(geometry=name, plane=Shape("cube"), friction=0.1) for name in ("left", "right")]
     scene = Scene(robot, contacts, control=closing, period=1e-3)
-    q = np.array([0.15, 0.0, 0.0, 0.003, 0.0, 0.5 * SIDE, 0.0, 0.0, 0.0, 1.0])
+    q = np.array([0.15, 0.0, 0.0, 0.005, 0.0, 0.5 * SIDE, 0.0, 0.0, 0.0, 1.0])
     with pytest.warns(SteppedWarning, match="exceed the bounds"):
         trajectory = simulate(scene, q, np.zeros(9), 0.12)
     assert not any("may be wrong" in note.text for note in trajectory.notes)

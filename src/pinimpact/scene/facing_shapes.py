@@ -22,6 +22,7 @@ from ._kernels.facing_boxes import BOX, HALF, REACH, FacingBoxes, face_boxes, fi
 from ._kernels.passing import SOLID_NUMBERS, may_pass
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
+from .touching_points import Reserved
 
 
 @dataclass(eq=False)
@@ -48,6 +49,7 @@ class FacingShapes:
         model: The model.
         dynamics: The dynamics, whose contacts and workspace are modified.
         layout: The layout of the scene.
+        every: The pairs, and the numbers of the contacts reserved for their points.
         rests: (nj,) whether each joint is at rest; patches between joints at rest are not recomputed.
         near: Gap below which patches are computed at any speed [m].
 
@@ -57,13 +59,18 @@ class FacingShapes:
     """
 
     def __init__(
-        self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout, rests: Bools, near: float
+        self,
+        model: pin.Model,
+        dynamics: SceneDynamics,
+        layout: SceneLayout,
+        every: Reserved,
+        rests: Bools,
+        near: float,
     ) -> None:
         self._model, self._layout, self._rests = model, layout, rests
         self._dynamics, self._work = dynamics, dynamics.work
         self._near, self._gravity = near, float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
-        every = [(layout.pairs[contact], numbers) for contact, numbers in layout.places(dynamics.contacts)]
         work = self._work
         self._blanks = work.contact_constants.copy()
         self.idle = np.array([contact.pair is not None for contact in dynamics.contacts], dtype=bool)
@@ -79,7 +86,7 @@ class FacingShapes:
     def _data(self) -> Any:
         return self._layout.data_for(self, self._model)
 
-    def _set_boxes(self, pairs: list[tuple[ShapePair, list[int]]]) -> None:
+    def _set_boxes(self, pairs: Reserved) -> None:
         """Set the tables of pairs of boxes, see `facing_boxes.face_boxes`."""
         boxes = {_key(side): side for pair, _ in pairs for side in (pair.a, pair.b)}
         number = {key: k for k, key in enumerate(boxes)}

@@ -234,7 +234,9 @@ class SceneLayout:
         groups: dict[int, tuple[Contact, list[int]]] = {}
         for i, contact in enumerate(contacts):
             if contact.pair is not None:
-                groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
+                if id(contact.pair) not in groups:
+                    groups[id(contact.pair)] = contact.pair, []
+                groups[id(contact.pair)][1].append(i)
         return list(groups.values())
 
     def dynamics_for(self, owner: object, model: pin.Model) -> RobotDynamics:

@@ -106,13 +106,13 @@ class SceneImpacts:
         """
         zero = np.zeros(self._model.nv)
         contacts = self._dynamics.contacts
-        first = {contact.plane.body is None: i for i, contact in reversed([*enumerate(contacts)])}
-        for in_world, i in first.items():
-            contact, kind = contacts[i], (in_world, bool(self._held))  # determines the types of arguments
-            if kind not in _compiled:
+        for in_world in (True, False):
+            kind = in_world, bool(self._held)  # determines the types of arguments
+            i = next((i for i, c in enumerate(contacts) if (c.plane.body is None) == in_world), None)
+            if i is not None and kind not in _compiled:
                 _compiled.add(kind)
                 with suppress(PinimpactError):  # errors are reported when the contact collides
-                    self._impact(replace(contact, restitution=0.0), q, zero)
+                    self._impact(replace(contacts[i], restitution=0.0), q, zero)
                     self.without_collision(q, zero, i)
 
     def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:

@@ -64,10 +64,10 @@ class ShapeWatch(TouchingPoints):
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
         near, touching = [], self._state.touching
-        if len(touching) < len(self._pairs):
+        if len(touching) < len(self.places):
             near = np.flatnonzero(~self._apart.over(step, peak)).tolist()
         for number in sorted({*near, *touching}):
-            watched = self._pairs[number]
+            watched = self._watched(number)
             if number in touching:
                 meeting = self._change(watched, step, end, peak)
             else:
@@ -230,7 +230,7 @@ class ShapeWatch(TouchingPoints):
 
     def meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
         """Apply a change of contact; return the numbers of the contacts whose gap closes."""
-        watched = self._pairs[meeting.pair]
+        watched = self._watched(meeting.pair)
         q, v = step.at(meeting.time)
         self._set(q)
         placed = watched.pair.placed(self._data)

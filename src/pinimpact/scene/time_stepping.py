@@ -82,10 +82,11 @@ class TimeStepping(Integrator):
         self._rest, self._widest = Rest(model, work, state), widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
-        self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints, self._touching)
+        of_scene = model, self.dynamics, scene.layout(), self.shapes.places
+        self._faces = FacingShapes(*of_scene, self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)
-        self._no_change = np.zeros(model.nv)
+        self._no_change, self._gravity = np.zeros(model.nv), float(np.linalg.norm(model.gravity.linear))
         # contacts whose impact law is that of a step (Moreau's) close within its contact problem
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
@@ -94,7 +95,6 @@ class TimeStepping(Integrator):
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
-        self._gravity = float(np.linalg.norm(model.gravity.linear))
 
     def begin(self, tau: Array | None = None) -> None:
         """Process the impacts and events at the start; see `Integrator.begin`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -35,8 +35,6 @@ class Watched:
         number: Number of the pair.
         pair: The shapes A and B.
         places: Numbers of the contacts reserved for its points.
-        blanks: The placeholders of these contacts while nothing touches.
-        size: Sum of the sizes of both shapes [m].
         supports: (2, nv) whether each velocity moves A, and whether it moves B.
         state: The state of the motion.
     """
@@ -44,8 +42,6 @@ class Watched:
     number: int
     pair: ShapePair
     places: list[int]
-    blanks: list[Contact]
-    size: float
     supports: Bools
     state: HybridState
 
@@ -58,6 +54,11 @@ class Watched:
     def now(self) -> Touching:
         """The present contact of the pair."""
         return self.state.touching.get(self.number, _NOTHING)
+
+    @property
+    def size(self) -> float:
+        """Sum of the sizes of both shapes [m]."""
+        return self.pair.a.shape.reach + self.pair.b.shape.reach
 
     @property
     def points(self) -> dict[int, PointContact]:
@@ -76,6 +77,9 @@ class Watched:
         self.state.touching = others | {self.number: now} if now.points else others
 
 
+Reserved: TypeAlias = list[tuple[ShapePair, list[int]]]
+"""Pairs of shapes, and the numbers of the contacts reserved for the points of each."""
+
 _NOTHING, _NONE = Touching({}, {}), np.zeros(0, dtype=np.int64)
 
 
@@ -83,6 +87,10 @@ class TouchingPoints:
     """The pairs of convex shapes of one run, and the contacts that represent their points in contact.
 
     The reserved contacts in `dynamics` and its workspace are set here.
+
+    Attributes:
+        tolerance: Gap up to which shapes touch [m].
+        places: The pairs, and the contacts reserved for their points.
     """
 
     def __init__(
@@ -91,28 +99,26 @@ class TouchingPoints:
         self._model, self._layout, self._state = model, layout, state
         self._dynamics, self._work = dynamics, dynamics.work
         self.tolerance = 0.0
-        groups = layout.places(dynamics.contacts)
+        groups, work = layout.places(dynamics.contacts), self._work
         pairs = tuple(pair for pair, _ in groups)
         if pairs:
             self._apart = PairsApart(model, layout, pairs)
-            moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
-        self._pairs = []
-        for k, (contact, places) in enumerate(groups):
-            pair, blanks = layout.pairs[contact], [dynamics.contacts[i] for i in places]
-            size = pair.a.shape.reach + pair.b.shape.reach
-            self._pairs.append(Watched(k, pair, places, blanks, size, moves[k], state))
+            self._moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
+        self.places = [(layout.pairs[contact], numbers) for contact, numbers in groups]
+        self._reserved = np.array([i for _, numbers in groups for i in numbers], dtype=np.int64)
+        self._open = list(dynamics.contacts), work.contact_constants.copy(), work.contact_joints.copy()
 
     @cached_property
     def _data(self) -> Any:
         return self._layout.data_for(self, self._model)
 
     def __bool__(self) -> bool:
-        return bool(self._pairs)
+        return bool(self.places)
 
     @property
     def directions(self) -> Array | None:
         """(p, 3) Separating directions, which steps change in place; None without pairs."""
-        return self._apart.directions if self._pairs else None
+        return self._apart.directions if self.places else None
 
     def continue_with(self, directions: Array | None) -> None:
         """Restore the separating directions (p, 3), and the contacts of the present state."""
@@ -122,9 +128,12 @@ class TouchingPoints:
             for i, point in watched.points.items():
                 self._dynamics.contacts[i] = point.instant
 
+    def _watched(self, number: int) -> Watched:
+        return Watched(number, *self.places[number], self._moves[number], self._state)
+
     def _touching(self) -> list[Watched]:
         """Return the pairs that touch."""
-        return [self._pairs[number] for number in sorted(self._state.touching)]
+        return [self._watched(number) for number in sorted(self._state.touching)]
 
     # ---- states
 
@@ -147,7 +156,7 @@ class TouchingPoints:
         forward_kinematics(self._model, self._data, q, v)
         near = self._apart.at(q) <= rounding
         for number in np.flatnonzero(near).tolist():
-            watched = self._pairs[number]
+            watched = self._watched(number)
             placed = watched.pair.placed(self._data)
             found = gap(*placed)
             if found.value < -rounding:
@@ -173,11 +182,10 @@ class TouchingPoints:
 
     def clear(self) -> None:
         """Remove the contacts of all pairs."""
-        for watched in self._pairs:
-            for i, blank in zip(watched.places, watched.blanks, strict=True):
-                self._set_constants(i, blank)
-                self._dynamics.contacts[i] = blank
-                self._work.modes[i] = FREE
+        work, numbers, (contacts, constants, joints) = self._work, self._reserved, self._open
+        self._dynamics.contacts[:] = contacts
+        work.contact_constants[numbers], work.contact_joints[numbers] = constants[numbers], joints[numbers]
+        work.modes[numbers] = FREE
         self._state.touching = {}
 
     def restart(self, q: Array, within: float) -> list[int]:
@@ -187,12 +195,12 @@ class TouchingPoints:
             IrregularMotionError: A pair overlaps by more.
         """
         self.clear()
-        if not self._pairs:
+        if not self.places:
             return []
         self._set(q)
         filled: list[int] = []
         for number in np.flatnonzero(self._apart.at(q) <= within).tolist():
-            watched = self._pairs[number]
+            watched = self._watched(number)
             placed = watched.pair.placed(self._data)
             found = gap(*placed)
             if found.value < -within:
@@ -214,7 +222,7 @@ class TouchingPoints:
         filled: list[int] = []
         if near:
             forward_kinematics(self._model, self._data, q, v)
-        for watched in (self._pairs[k] for k in near):
+        for watched in map(self._watched, near):
             placed = watched.pair.placed(self._data)
             found = gap(*placed)
             if found.value <= self.tolerance and self._fastest(watched, placed, found.normal) < 0.0:
@@ -237,8 +245,7 @@ class TouchingPoints:
             watched.update(points=points, normals=normals)
 
     def _point(self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
-        blank = watched.blanks[watched.places.index(i)]
-        return point_contact(watched.pair, self._data, placed, normal, touch, blank)
+        return point_contact(watched.pair, self._data, placed, normal, touch, self._open[0][i])
 
     # ---- points in contact
 
@@ -277,7 +284,7 @@ class TouchingPoints:
 
     def _remove(self, watched: Watched, i: int) -> None:
         """Remove the point of contact i."""
-        blank = watched.blanks[watched.places.index(i)]
+        blank = self._open[0][i]
         points, normals = ({k: x for k, x in of.items() if k != i} for of in watched.now[:2])
         watched.update(points=points, normals=normals)
         self._set_constants(i, blank)
