@@ -224,6 +224,47 @@ def test_rigid_body_on_four_feet(quadruped, friction, e):
     assert outcomes[0][2] == pytest.approx(outcomes[1][2], abs=1e-2)
 
 
+def spokes(yaw):
+    """Return two spokes of a rimless wheel in a vertical plane; a yaw of None: by joints along its axes."""
+    model = pin.Model()
+    joint = 0
+    if yaw is None:
+        for along, name in ((pin.JointModelPX(), "x"), (pin.JointModelPZ(), "z")):
+            joint = model.addJoint(joint, along, pin.SE3.Identity(), name)
+        joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3.Identity(), "turn")
+        model.armature[:2] = 1e-12  # the massless links
+    else:
+        upright = pin.utils.rotate("z", yaw) @ pin.utils.rotate("x", 0.5 * np.pi)
+        joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3(upright, np.zeros(3)), "plane")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.075 * np.eye(3)), pin.SE3.Identity())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
+    for name, side in (("rear", -1.0), ("front", 1.0)):
+        x, z = side * 0.5 * np.sin(np.pi / 6), -0.5 * np.cos(np.pi / 6)
+        tip = np.array([x, 0.0, z] if yaw is None else [x, z, 0.0])
+        place = pin.SE3(np.eye(3), tip)
+        model.addFrame(pin.Frame(name, joint, 0, place, pin.FrameType.OP_FRAME))
+    return model
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5 * np.pi, np.pi, 0.3])
+@pytest.mark.parametrize(("friction", "e"), [(0.2, 0.5), (0.6, 0.5), (5.0, 0.0), (5.0, 0.5)])
+def test_planar_mechanism_has_no_impulses_across_its_plane(yaw, friction, e):
+    contacts = [
+        Contact(name, Plane(), friction=friction, restitution=e, law="energetic") for name in ("rear", "front")
+    ]
+    model, exact, down = spokes(yaw), spokes(None), 0.5 * np.cos(np.pi / 6)
+    along = np.array([[np.cos(yaw), np.sin(yaw), 0.0], [0.0, 0.0, 1.0]])
+    across = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    for vx, vz, rate in ((-0.5, -1.0, 0.0), (-0.5, -1.0, 1.0), (0.0, -1.0, 1.0)):
+        hit = pinimpact.impact(model, model.createData(), np.array([0, down, 1, 0]), [vx, vz, rate], contacts)
+        wanted = pinimpact.impact(exact, exact.createData(), np.array([0, down, 0]), [vx, vz, -rate], contacts)
+        size = wanted.impulses_world.max()
+        assert np.abs(hit.impulses_world @ across).max() < 1e-10 * size
+        assert hit.impulses_world[:, 2] == pytest.approx(wanted.impulses_world[:, 2], abs=1e-9 * size)
+        total, other = hit.impulses_world.sum(axis=0), wanted.impulses_world.sum(axis=0)
+        assert along @ total == pytest.approx(other[::2], abs=1e-9 * size)
+
+
 def test_bad_lists(quadruped):
     model, q = quadruped
     v = np.zeros(model.nv)

@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.semidefinite import factor, forward
-from ..._numeric.tolerances import ROUNDING, TINY
+from ..._numeric.tolerances import ROUNDING, ROUNDOFF, TINY
 from .propagation_course import follow
 from .propagation_series import ORDER, new_series
 from .propagation_state import System, new_state
@@ -132,8 +132,12 @@ def _make_consistent(w, v):
     in the null space of W, and slip that should stop would continue at that speed. A Cholesky factorisation
     with complete pivoting, W = L Lᵀ, gives the dependent velocities v₂ = L₂₁ L₁₁⁻¹ v₁.
 
+    A planar mechanism cannot move across its plane. Its rows of L in this direction are zero or, where the
+    plane is a coordinate plane only to rounding, roundings of the others; they are then set to zero.
+    Otherwise the contact slips across the plane at a rounding error, and friction opposes that slip.
+
     Args:
-        w: (m, m) W.
+        w: (m, m) W; tangential rows and columns that are rounding errors are set to zero.
         v: (m,) velocities; tangential ones that satisfy the relation to `SLOW` are overwritten.
     """
     m = len(v)
@@ -142,6 +146,13 @@ def _make_consistent(w, v):
     forward(lower, order, rank, v, y)
     for k in range(rank, m):
         row, made = order[k], 0.0
+        first = row - row % 3
+        mobility = max(w[first, first], w[first + 1, first + 1], w[first + 2, first + 2])
+        if row % 3 != 2 and w[row, row] <= ROUNDOFF * ROUNDOFF * mobility:  # squares of rows of L
+            if w[row, row] > 0.0 and abs(v[row]) <= SLOW:
+                v[row] = 0.0
+            w[row] = 0.0
+            w[:, row] = 0.0
         for b in range(rank):
             made += lower[row, b] * y[b]
         if row % 3 != 2 and w[row, row] > 0.0 and abs(made - v[row]) <= SLOW:
