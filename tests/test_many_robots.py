@@ -250,14 +250,17 @@ def spokes(yaw):
 @pytest.mark.parametrize(("friction", "e"), [(0.2, 0.5), (0.6, 0.5), (5.0, 0.0), (5.0, 0.5)])
 def test_planar_mechanism_has_no_impulses_across_its_plane(yaw, friction, e):
     contacts = [
-        Contact(name, Plane(), friction=friction, restitution=e, law="energetic") for name in ("rear", "front")
+        Contact(name, Plane(), friction=friction, restitution=e, law="energetic")
+        for name in ("rear", "front")
     ]
     model, exact, down = spokes(yaw), spokes(None), 0.5 * np.cos(np.pi / 6)
     along = np.array([[np.cos(yaw), np.sin(yaw), 0.0], [0.0, 0.0, 1.0]])
     across = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     for vx, vz, rate in ((-0.5, -1.0, 0.0), (-0.5, -1.0, 1.0), (0.0, -1.0, 1.0)):
         hit = pinimpact.impact(model, model.createData(), np.array([0, down, 1, 0]), [vx, vz, rate], contacts)
-        wanted = pinimpact.impact(exact, exact.createData(), np.array([0, down, 0]), [vx, vz, -rate], contacts)
+        wanted = pinimpact.impact(
+            exact, exact.createData(), np.array([0, down, 0]), [vx, vz, -rate], contacts
+        )
         size = wanted.impulses_world.max()
         assert np.abs(hit.impulses_world @ across).max() < 1e-10 * size
         assert hit.impulses_world[:, 2] == pytest.approx(wanted.impulses_world[:, 2], abs=1e-9 * size)

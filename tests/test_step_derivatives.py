@@ -297,7 +297,7 @@ def test_box_falling_flat_while_sliding_on_edge(friction, turn, v):
     scene = Scene(model, corners(friction, 0.0))
     q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0, *turn]))
     q[2] -= min(contact.gap(model, model.createData(), q) for contact in scene.contacts)
-    _, found = compare(scene, q, np.array(v), 0.1, 2e-3, [*range(6, 12)], tolerance=1e-4)
+    _, found = compare(scene, q, np.array(v), 0.1, 2e-3, [*range(6, 12)], step=1e-7, tolerance=1e-4)
     assert np.isfinite(found.state).all()
 
 

@@ -288,6 +288,43 @@ def test_no_tunnelling_through_obstacles_thinner_than_a_step(solid, restitution,
         assert trajectory.v[-1, 0] == pytest.approx(-restitution * speed, abs=1e-6)
 
 
+def chain(links, pitch, length=0.05, mass=0.02):
+    """Return a free planar chain of rods, inclined by `pitch`, whose lower end is at z = 0, and its ends."""
+    model, joint = pin.Model(), 0
+    inertia = mass * length**2 / 12.0 * np.diag([1e-2, 1.0, 1.0])
+    rod = pin.Inertia(mass, np.array([0.5 * length, 0.0, 0.0]), inertia)
+    tip = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+    for k in range(links):
+        hinge = pin.JointModelRY() if k else pin.JointModelFreeFlyer()
+        joint = model.addJoint(joint, hinge, tip if k else pin.SE3.Identity(), f"link {k}")
+        model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
+        if k == 0:
+            model.addFrame(pin.Frame("start", joint, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        model.addFrame(pin.Frame(f"tip {k}", joint, tip, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    q = pin.neutral(model)
+    q[2], q[3:7] = links * length * np.sin(pitch), pin.Quaternion(pin.utils.rotate("y", pitch)).coeffs()
+    return model, q, ["start", *(f"tip {k}" for k in range(links))]
+
+
+@pytest.mark.parametrize(("links", "pitch", "lost"), [(1, 0.4, 0.04), (5, 0.2, 0.12), (10, 0.1, 0.25)])
+def test_chain_that_lands_on_a_smooth_floor_keeps_its_momentum_along_it(links, pitch, lost):
+    # links stop one after another at up to 60 rad/s; centrifugal forces change from step to step
+    model, q, ends = chain(links, pitch)
+    scene = Scene(model, [Contact(end, Plane(), friction=0.0) for end in ends])
+    rotation = pin.Quaternion(q[3:7]).matrix()
+    v, down = np.zeros(model.nv), 2.0
+    v[:3] = rotation.T @ [0.0, 0.0, -down]
+    errors, mass, data = [], pin.computeTotalMass(model), model.createData()
+    for dt in (1e-3, 1e-4):
+        run = simulate(scene, q, v, 0.2, scheme="time-stepping", dt=dt)
+        pin.computeCentroidalMomentum(model, data, run.q[-1], run.v[-1])
+        errors.append(abs(data.hg.linear[0]) / (mass * down))
+        assert np.abs(run.energy.residual).max() < 10.0 * dt * run.energy.total[0]
+    assert errors[0] < lost
+    assert errors[1] < 0.2 * lost
+
+
 @pytest.mark.parametrize("first", [1e-7, 1e-4])
 def test_slow_onset_of_sliding_is_not_treated_as_rest(first):
     """After the short first step the speed (≥ 1 nm/s) is below the resting speed."""

@@ -82,7 +82,7 @@ class StepLaw:
         self.targets = np.where(self.closes, gaps / taken.h, 0.0)
         impulse = found.impulse
         self._rounding = rounding = ROUNDING * np.abs(impulse).max(initial=0.0)
-        without = self.jacobian @ (found.predicted - taken.h * taken.pushed)  # impulses: a scale if all rests
+        without = self.jacobian @ (found.foreseen - taken.h * taken.pushed)  # impulses: a scale if all rests
         self._speed = max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end, without))
         presses = impulse > rounding
         touches = presses & self.closes & (gaps <= taken.touching)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -233,8 +234,6 @@ class StepSlopes:
         softer = 0.5 * damping + 0.5 * h * stiffness  # derivative of `softened` by h
         mass = self._mass(q)
         total = mass + np.diag(softened)
-        rows = self._rows(taken, at_middle)
-        pushes = rows.jacobian.T @ found.impulse
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
             """Return h δf − δM `change`, for forces f at a mean velocity."""
@@ -248,19 +247,35 @@ class StepSlopes:
                 by_state -= change_of_forces(self._controlled, h, *given)
             return np.asarray(h * (force - by_state))
 
-        first = found.predicted - v - h * taken.pushed
+        first = found.foreseen - v - h * taken.pushed
         predicted = right(v, by_v, first) + np.outer(total @ first / h - softer * first, length)
         predicted = np.linalg.solve(total, predicted) + by_v + np.outer(taken.pushed, length)
         if taken.pushed.any():  # it is zero in the first step
             predicted += h * by_pushed
-        change, expected = found.v_end - v, found.predicted - v
-        known = right(0.5 * (v + found.predicted), 0.5 * (by_v + predicted), change)
-        acting = (total @ change - 0.5 * h * damping * expected - pushes) / h
-        known += 0.5 * h * damping[:, None] * (predicted - by_v) + total @ by_v
-        known += np.outer(acting + 0.5 * damping * expected - softer * change, length)
-        given = rows, (total, softer), (middle, known, length)
-        moved = self._solve(taken, False, *given)
-        self._refuse_ties(taken, moved, given)
+
+        def solve(taken: StepTaken, known: Array, predicted: Array) -> _Moved:
+            """Return the changes in a step from those of its forces and of the velocity they belong to."""
+            found, rows = taken.found, self._rows(taken, at_middle)
+            change, expected = found.v_end - v, found.predicted - v
+            acting = (total @ change - 0.5 * h * damping * expected - rows.jacobian.T @ found.impulse) / h
+            known = known + 0.5 * h * damping[:, None] * (predicted - by_v) + total @ by_v
+            known += np.outer(acting + 0.5 * damping * expected - softer * change, length)
+            given = rows, (total, softer), (middle, known, length)
+            moved = self._solve(taken, False, *given)
+            self._refuse_ties(taken, moved, given)
+            return moved
+
+        change, mean = found.v_end - v, (0.5 * (v + found.foreseen), 0.5 * (by_v + predicted))
+        known = right(*mean, change)
+        if found.struck.any():
+            earlier = replace(taken, found=found.of_first_problem(dense(taken.rows, nv)))
+            tried = solve(earlier, right(*mean, earlier.found.v_end - v), predicted)
+            struck = found.struck[:, None]
+            predicted = np.where(struck, tried.v_end, predicted)
+            sides = right(v, by_v, change) + right(found.predicted, predicted, change)
+            known = np.where(struck, 0.5 * sides, known)
+        moved = solve(taken, known, predicted)
+        moved.pushed[found.struck] = 0.0
         self._refuse_landings(taken, moved)
         self._refuse_touches(taken, moved)
         return moved
@@ -303,7 +318,7 @@ class StepSlopes:
         largest = np.abs(np.concatenate([moved.middle, moved.u_start, v_end])).max(axis=0)
         least = np.nanmax(largest, initial=ROUNDING)
         if self._friction:  # changes by coefficients are of the size of the impulses
-            pushed = taken.found.v_end - taken.found.predicted + taken.h * taken.pushed
+            pushed = taken.found.v_end - taken.found.foreseen + taken.h * taken.pushed
             largest[-len(self._friction) :] += np.abs(pushed).max()
         sizes = np.abs(rows.jacobian[law.pinned]).sum(axis=1)
         tied = (np.abs(rows.gaps[law.pinned]) > STEPS_DRIFT * least * sizes[:, None]).any(axis=0)

@@ -29,6 +29,7 @@ from .dynamics import (
 from .lie_charts import add_turning
 from .step_impulses import step_impulses
 from .step_rows import StepResult, StepRows, StepSystem, closing_speed, normal_row
+from .struck_islands import mark_struck, replace_struck
 from .tolerances import STEPS_GAIN
 from .workspace import SceneWorkspace
 
@@ -329,6 +330,39 @@ def evaluate_in_still_axes(work, t, q, v):
     return not work.callback_failed
 
 
+@inlined
+def add_change(work, system, change, v_end):
+    """Add the change (nv,) by the impulses to the velocity at the end; it is zero at joints at rest."""
+    for c in range(len(change)):
+        v_end[c] = 0.0 if system.rests[work.velocity_joint[c]] else v_end[c] + change[c]
+
+
+@inlined
+def evaluate_both_sides(work, t, q, v, found, first, control):
+    """Set the acceleration of struck islands to the mean of those before and after their impacts.
+
+    Args:
+        work: The workspace, with the acceleration at the mean velocity.
+        t, q, v: As in `midpoint_step`.
+        found: The `StepResult`; its `predicted` is set to the velocity after the impacts in struck islands.
+        first, control: (nv,) acceleration and forces of the control at v.
+
+    Returns:
+        Whether this succeeded.
+    """
+    nv, struck = len(v), found.struck
+    mean, own = work.acceleration.copy(), work.control_force.copy()
+    for c in range(nv):
+        if struck[c]:
+            found.predicted[c] = found.v_end[c]
+    if not evaluate_in_still_axes(work, t, q, found.predicted):
+        return False
+    for c in range(nv):
+        work.acceleration[c] = 0.5 * (first[c] + work.acceleration[c]) if struck[c] else mean[c]
+        work.control_force[c] = 0.5 * (control[c] + work.control_force[c]) if struck[c] else own[c]
+    return True
+
+
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, bool),
     *(StepSystem, StepRows, FLOATS, FLOATS, StepResult),
@@ -358,11 +392,14 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
     first, before = begin.copy(), pushed.copy()
     result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, True)
     found.bent[0] = work.callback_failed or not adds_energy(h, system, rows, v, pushed, found)
-    if found.bent[0]:
-        return result
-    assign(begin, first)
-    assign(pushed, before)
-    return attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, False)
+    if not found.bent[0]:
+        assign(begin, first)
+        assign(pushed, before)
+        result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, False)
+    for c in range(len(v)):
+        if found.struck[c]:  # impulses of impacts do not predict those of the next step
+            pushed[c] = 0.0
+    return result
 
 
 @declared(
@@ -373,16 +410,17 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
 @external
 def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent):
     """Take a step, with or without the change of rows (`bent`, see `StepResult`); see `midpoint_step`."""
-    n, nv = len(rows.counts), len(v)
-    offset, free, mean = np.empty(n), np.empty(n), np.empty(nv)
+    n, nv, slow = len(rows.counts), len(v), work.resting_speed if bent else 0.0
+    offset, free, mean, change = np.empty(n), np.empty(n), np.empty(nv), np.empty(nv)
     acceleration, turning = np.empty((2, len(rows.contacts) + len(rows.held), 3))
-    u_start, predicted, v_end = found.u_start, found.predicted, found.v_end
+    predicted, v_end = found.predicted, found.v_end
     if not evaluate_in_still_axes(work, t, q, v):
         return 0.0, 1.0, 0.0, 0.0
-    fill_rows(work, v, rows, u_start, acceleration, turning)
+    first, control = work.acceleration.copy(), work.control_force.copy()
+    fill_rows(work, v, rows, found.u_start, acceleration, turning)
     rates(rows.values, rows.columns, rows.counts, v, offset)
     for a in range(n):
-        offset[a] = u_start[a] - offset[a]
+        offset[a] = found.u_start[a] - offset[a]
     if bent:
         bend_rows(work, h, rows, acceleration, turning, offset, found)
     free_velocity(h, v, work.acceleration, system, v, predicted)
@@ -391,20 +429,34 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     for c in range(nv):
         predicted[c] += h * pushed[c]  # with the impulses of the previous step
         mean[c] = 0.5 * (v[c] + predicted[c])
+    assign(found.foreseen, predicted)
     if not evaluate_in_still_axes(work, t, q, mean):
         return 0.0, 1.0, 0.0, 0.0
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)
-    slow = work.resting_speed if bent else 0.0
     problem, active = contact_problem(work, h, system, rows, found, slow, free)
-    given = SOFTEST, SETTLED, begin, mean, found.impulse, found.course
+    given = SOFTEST, SETTLED, begin, change, found.impulse, found.course
     residual = step_impulses(problem, active, system.tree, *given)
+    add_change(work, system, change, v_end)
+    if mark_struck(rows, system, active, found):
+        if not evaluate_both_sides(work, t, q, v, found, first, control):
+            return 0.0, 1.0, 0.0, 0.0
+        free_velocity(h, v, work.acceleration, system, predicted, v_end)
+        velocities(rows, offset, v_end, free)
+        problem, active = contact_problem(work, h, system, rows, found, slow, free)
+        for i in range(len(active)):
+            row = 3 * i if i < len(rows.contacts) else 2 * len(rows.contacts) + i
+            active[i] = active[i] and rows.counts[row] > 0 and found.struck[rows.columns[row, 0]]
+        again = np.empty(n), np.empty(found.course.shape), begin.copy(), np.empty(nv)
+        given = SOFTEST, SETTLED, again[2], again[3], again[0], again[1]
+        residual = max(residual, step_impulses(problem, active, system.tree, *given))
+        replace_struck(rows, system, found, begin, change, again)
+        add_change(work, system, change, v_end)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:
-            v_end[c] = predicted[c] = 0.0
+            predicted[c] = 0.0
         else:
-            v_end[c] += mean[c]
-            pushed[c] = mean[c] / h
+            pushed[c] = change[c] / h
     velocities(rows, offset, v_end, found.u_end)
     share, work_done, overlap = close_gaps(work, h, strikes, system, rows, found)
     return residual, share, work_done, overlap

@@ -48,11 +48,12 @@ class StepRows(NamedTuple):
     def room(self, nv: int, iterations: int) -> StepResult:
         """Return an uninitialized `StepResult` for nv velocities and a number of iterations."""
         impulse, u_start, u_end = np.empty((3, len(self.counts)))
-        predicted, v_end = np.empty((2, nv))
+        (predicted, v_end, foreseen), struck = np.empty((3, nv)), np.zeros(nv, dtype=bool)
         items = len(self.contacts) + len(self.limits)
         (fast, arrives), gaps = np.empty((2, items), dtype=bool), np.empty(items)
-        bent, course = np.empty(1, dtype=bool), np.empty((2, iterations, len(self.counts)))
-        return StepResult(impulse, u_start, u_end, fast, arrives, predicted, v_end, gaps, bent, course)
+        bent, (course, tried_course) = np.empty(1, dtype=bool), np.empty((2, 2, iterations, len(impulse)))
+        own = struck, foreseen, np.empty(len(impulse)), tried_course
+        return StepResult(impulse, u_start, u_end, fast, arrives, predicted, v_end, gaps, bent, course, *own)
 
     @property
     def held_rows(self) -> Integers:
@@ -112,6 +113,9 @@ class StepResult(NamedTuple):
         gap_end: (nc + nl,) gaps at the end [m].
         bent: (1,) whether the term ½h J̇ v of (16.2) is included, and slow overlap is closed.
         course: (2, …, rows) compliances r and impulses of the iterations (16.3), zeros after the last one.
+        struck: (nv,) velocities of islands with impacts in this step, whose contact problem is solved twice.
+        foreseen: (nv,) `predicted` of the first contact problem.
+        tried, tried_course: Impulses and iterations of the first one, if any island is struck.
     """
 
     impulse: Floats
@@ -124,11 +128,25 @@ class StepResult(NamedTuple):
     gap_end: Floats
     bent: Flags
     course: FloatStack
+    struck: Flags
+    foreseen: Floats
+    tried: Floats
+    tried_course: FloatStack
 
     def kept(self) -> StepResult:
         """Return a copy of the velocities, with the other fields, and only the iterations that were taken."""
-        used, predicted = self.course[0].any(axis=1), self.predicted.copy()
-        return self._replace(v_end=self.v_end.copy(), predicted=predicted, course=self.course[:, used])
+        v_end, predicted, foreseen = self.v_end.copy(), self.predicted.copy(), self.foreseen.copy()
+        course = self.course[:, self.course[0].any(axis=1)]
+        first = self.tried_course[:, self.tried_course[0].any(axis=1)] if self.struck.any() else course
+        result = self._replace(v_end=v_end, predicted=predicted, foreseen=foreseen)
+        return result._replace(course=course, tried_course=first)
+
+    def of_first_problem(self, jacobian: FloatRows) -> StepResult:
+        """Return the result of the first contact problem; `jacobian` (rows, nv) is that of the rows."""
+        v_end = np.where(self.struck, self.predicted, self.v_end)
+        u_end = self.u_end + jacobian @ (v_end - self.v_end)
+        result = self._replace(impulse=self.tried, u_end=u_end, v_end=v_end, course=self.tried_course)
+        return result._replace(predicted=self.foreseen, struck=np.zeros_like(self.struck))
 
     def gaps_at(self, part: float, h: float, rows: StepRows) -> Floats:
         """Return the gaps (nc + nl,) after a fraction of a step of length h; rates are linear in time."""
