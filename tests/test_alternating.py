@@ -173,6 +173,22 @@ def test_report_lists_stepped_intervals():
     assert run_facts(trajectory)["stepped"][0]["end"] == interval.end
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+def test_user_event_in_the_step_before_time_steps_happens_once():
+    """17 points arrive together, which the event-driven scheme refuses, in the step that has the event."""
+    model, count = pin.Model(), 17
+    for k in range(count):
+        joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), f"{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        model.addJointFrame(joint)
+    unbounded(model)
+    event = Event(lambda t, q, v: q[0] - 0.001, name="near")
+    scene = Scene(model, [Contact(f"{k}", FLOOR) for k in range(count)], events=[event])
+    trajectory = simulate(scene, np.full(count, 0.1), np.zeros(count), 0.2)
+    assert "17 contacts" in trajectory.stepped[0].reason
+    assert [one.time for one in trajectory.events] == [pytest.approx(math.sqrt(0.198 / 9.81), abs=1e-9)]
+
+
 def test_corner_resting_on_corner_is_stepped():
     """The normal of two touching corners is undetermined, so the crate may fall to any side."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")

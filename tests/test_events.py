@@ -236,6 +236,23 @@ def test_sign_change_by_impact_is_an_event_at_the_impact():
     assert trajectory.events[0].v_before[2] == pytest.approx(0.8 * G * first, abs=1e-9)
 
 
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("terminal", [False, True])
+def test_sign_change_by_impact_may_change_velocity_or_end_the_run(scheme, terminal):
+    def kick(t, q, v):
+        return v + np.array([1.0, 0, 0, 0, 0, 0])
+
+    up = Event(lambda t, q, v: v[2], None if terminal else kick, terminal=terminal, direction=1, name="up")
+    scene = Scene(ball(), [Contact("center", Plane(), radius=0.1, restitution=0.8)], events=[up])
+    motion = simulate(scene, [0, 0, 1.1, *UP], np.zeros(6), 0.8, scheme=scheme)
+    first = math.sqrt(2.0 / G)
+    assert times(motion) == pytest.approx([first], abs=1e-9)
+    assert motion.t[-1] == pytest.approx(first if terminal else 0.8, abs=1e-9)
+    left = motion.t[-1] - first
+    expected = [0.0 if terminal else left, 0.0, 0.1 + 0.8 * G * first * left - 0.5 * G * left**2]
+    np.testing.assert_allclose(motion.q[-1, :3], expected, atol=1e-8)
+
+
 def test_event_at_the_time_of_an_impact():
     """With the gap as guard, an event may occur only at the impact, which is resolved."""
     first = math.sqrt(2.0 / G)

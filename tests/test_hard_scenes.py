@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
+from scipy.optimize import brentq
 
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.geometry.surfaces import contact_axes
@@ -86,9 +87,20 @@ def test_rod_jams_where_forces_become_unbounded(angle, rate, rtol):
     assert jam.time == pytest.approx(time, abs=1e-5)
     after = velocity_after_stop(q, v)
     assert trajectory.at(jam.time, "right")[1] == pytest.approx(after, rel=1e-3)
+    assert trajectory.v[trajectory.t == jam.time][-1] == pytest.approx(after, rel=1e-3)
     assert [m.mode for m in trajectory.modes] == ["slip"]
     # the end of existence of forces within a step is located with few evaluations
     assert trajectory.statistics["evaluations"] < 1500
+
+
+@pytest.mark.parametrize("left", [1e-11, 1e-14, 0.0, -1e-12])
+@pytest.mark.parametrize("rate", [2.0, -2.0])
+def test_rod_that_starts_within_rounding_of_singularity_has_an_impact(rate, left):
+    """The forces are unbounded, or so large that no slip is left; then the tip is stopped at once."""
+    q, v = pushed_rod(brentq(lambda angle: effective(angle) - left, 0.3, 1.0, xtol=1e-16), rate)
+    (hit,) = run(Scene(planar_rod(), [Contact("tip", Plane(), friction=MU)]), q, v, 1e-3).impacts
+    assert hit.time == 0.0
+    assert hit.v_after == pytest.approx(velocity_after_stop(q, v), rel=1e-6)
 
 
 def forked_rod():

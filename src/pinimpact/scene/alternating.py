@@ -64,7 +64,7 @@ class Alternating(TimeStepping):
     def _set_crossing(self, crossing: bool) -> None:
         """Set whether the motion advances by time steps."""
         self.state.crossing, self._dt = crossing, self.state.coarse
-        self.instant.crowds_refused = not crossing
+        self.instant.impacts.refuses = not crossing
 
     def begin(self, tau: Array | None = None) -> None:
         """Process the start and begin the motion; see `Integrator.begin`."""

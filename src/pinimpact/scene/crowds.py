@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from ..errors import IrregularMotionError
 
 CROWD = 16
-"""Number of contacts above which an impact is left to time steps, with `scheme="auto"`: without restitution
-always, with restitution if its waves last long. The cost of its events grows steeply with their number."""
+"""Number of contacts above which an impact whose waves last long is left to time steps, with `scheme="auto"`.
+The cost of its events grows steeply with their number."""
 
 FEW = 8
 """Number of contacts up to which adaptive steps integrate an impact: with more they take seconds, and rarely
@@ -36,13 +36,12 @@ class CrowdError(IrregularMotionError):
     Args:
         sources: Numbers of its contacts and limits.
         e: Their coefficients of restitution.
-        followed: Whether its waves were followed.
 
     Attributes:
         left: Coefficient of restitution of each of its contacts and limits, by number.
     """
 
-    def __init__(self, sources: Sequence[int], e: Sequence[float], followed: bool = True) -> None:
-        text = f"scene: {len(sources)} contacts take part in an impact"
-        super().__init__(f"{text} that is not resolved" if followed else text, value=len(sources))
+    def __init__(self, sources: Sequence[int], e: Sequence[float]) -> None:
+        text = f"scene: {len(sources)} contacts take part in an impact that is not resolved"
+        super().__init__(text, value=len(sources))
         self.left = dict(zip(sources, e, strict=True))

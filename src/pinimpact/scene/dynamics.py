@@ -273,9 +273,9 @@ class SceneDynamics:
         self.check()
         return float(energy)
 
-    def forces_unbounded(self, t: float, q: Array, v: Array, without_forces: bool, singular: float) -> bool:
+    def forces_unbounded(self, t: float, q: Array, v: Array, leaving: bool, singular: float) -> bool:
         """Return whether forces of slipping contacts grow without bound, see the kernel. (theory.md, 13.3)"""
-        unbounded = jamming.forces_unbounded(self.work, t, q, v, without_forces, singular)
+        unbounded = jamming.forces_unbounded(self.work, t, q, v, leaving, singular)
         self.check()
         return bool(unbounded)
 

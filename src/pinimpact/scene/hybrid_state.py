@@ -45,7 +45,6 @@ class HybridState:
         overlap: Message that describes an overlap at the start of more than rounding, or None.
         ended_by: Name of the event that has ended the motion, or None.
         closed: The active contacts, or None.
-        forces_found: Whether forces were found to the usual accuracy when the modes were last set.
         forces_unique: Whether forces were unique where the smooth motion began.
         forces_beyond: Whether forces have exceeded their bounds.
         touching: Contacts of the pairs of convex shapes that touch, by number of the pair.
@@ -83,7 +82,6 @@ class HybridState:
     ended_by: str | None = None
 
     closed: ClosedSet | None = None
-    forces_found: bool = True
     forces_unique: bool = True
     forces_beyond: bool = False
     touching: dict[int, Touching] = field(default_factory=dict)

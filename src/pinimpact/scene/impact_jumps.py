@@ -36,7 +36,7 @@ from .islands import islands, tree_roots
 from .records import ImpactGroup, ImpactRecord
 from .scene import Scene
 from .scene_impacts import matrices_of_all
-from .switched_off import held_contacts, locked_joints
+from .switched_off import held_contacts, limit_restitution, locked_joints
 
 
 class Parameter(NamedTuple):
@@ -68,7 +68,7 @@ class ImpactJumps:
         self.held, self.locked = tuple(held_contacts(scene)), locked_joints(scene)
         self.free = free_velocities(model, self.locked)
         self.pairs = scene.layout().pairs
-        self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
+        self._limit_restitution = limit_restitution(scene)
         labels = [contact.label for contact in dynamics.contacts]
         self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
         self._roots = tree_roots(model)
@@ -79,8 +79,8 @@ class ImpactJumps:
 
     def islands(self, active: Bools) -> Integers:
         """Return the island (nv,) of each velocity; active contacts connect kinematic trees to islands."""
-        roots, work = self._roots, self.dynamics.work
-        return np.asarray(islands(roots, roots[work.contact_joints[active]])[roots[work.velocity_joint]])
+        work = self.dynamics.work
+        return np.asarray(islands(self._roots, work.contact_joints[active])[work.velocity_joint])
 
     def of(
         self,

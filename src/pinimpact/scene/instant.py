@@ -73,8 +73,7 @@ class Instant:
         rims: The contacts that are rims.
         dynamics: The smooth dynamics, with the present contact modes.
         names: Of the contacts and the joint limits.
-        crowds_refused: Whether to raise an error for impacts without restitution that have more than `CROWD`
-            contacts or whose waves are not resolved.
+        impacts: Resolves single impacts.
     """
 
     def __init__(
@@ -94,7 +93,7 @@ class Instant:
         if starts:
             check_inertia(model, data, state.q)
         self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
-        self._impacts = SceneImpacts(scene, model, data, self.dynamics, held, resting_speed)
+        self.impacts = SceneImpacts(scene, model, data, self.dynamics, held, resting_speed)
         contact_names = [contact.label for contact in self.dynamics.contacts]
         limit_names = [limit.name for limit in limits]
         self.names = [*contact_names, *limit_names]
@@ -110,10 +109,9 @@ class Instant:
         self._where = np.zeros(len(self.names), dtype=np.int64)  # APART, ARRIVING or STRUCK
         self._slow = np.zeros(len(self.names), dtype=np.int64)  # touches without bouncing
         self._hit = np.zeros(len(self.names), dtype=bool)  # collided at this instant
-        self.crowds_refused = False
         self.record = Recorder(model, data, ModeIntervals(model, contact_names, limit_names))
         if starts:
-            self._impacts.compile_kernels(state.q)
+            self.impacts.compile_kernels(state.q)
             left = partial(left_by_steps, dt, extent, max(work.gravity, STANDARD_GRAVITY))
             check_start(model, data, self.dynamics, state, self.names, extent, left)
             if self.shapes:
@@ -153,7 +151,7 @@ class Instant:
         if self.shapes:
             self.shapes.refresh(self.state.q)
         self._hit[:] = False
-        self._impacts.unresolved, self._impacts.crowd = 0.0, CROWD if self.crowds_refused else math.inf
+        self.impacts.unresolved, self.impacts.crowd = 0.0, CROWD if self.impacts.refuses else math.inf
         resolved: list[dict[str, Any]] = []
         jams = 0
         while True:
@@ -161,15 +159,15 @@ class Instant:
             parting = max(self.dynamics.error(v), work.resting_speed)
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
             self.rims.check(where, work.touching_gap)
-            if self.crowds_refused and not resolved:
-                self._impacts.refuse_crowd(np.flatnonzero(where[: work.contacts] != APART))
+            if self.impacts.refuses and not resolved:
+                self.impacts.refuse_crowd(np.flatnonzero(where[: work.contacts] != APART))
             if i >= 0:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
                 continue
             before = self.state.v
-            jammed = self._set_modes(slow)
-            if jammed < 0 and self.state.forces_found:
+            jammed, found = self._set_modes(slow)
+            if found:
                 break
             jams += 1
             if jams > MOST_JAMS:
@@ -203,7 +201,7 @@ class Instant:
             error: Error of velocities that is acceptable [m/s], see `SceneImpacts.unresolved`.
             pressed: (n + nl,) whether each contact or limit has an impulse in that step; False: none has.
         """
-        self._hit[:], self._impacts.unresolved, self._impacts.crowd = False, error, FEW
+        self._hit[:], self.impacts.unresolved, self.impacts.crowd = False, error, FEW
         resolved: list[dict[str, Any]] = []
         left: dict[int, float] = {}
         parting: Array | None = None
@@ -253,10 +251,9 @@ class Instant:
                 "an impact without collision."
             )
             return [
-                self._take_over(jammed, self._impacts.without_collision(self.state.q, self.state.v, jammed))
+                self._take_over(jammed, self.impacts.without_collision(self.state.q, self.state.v, jammed))
             ]
-        refuse = self.crowds_refused
-        group = self._impacts.without_forces(self.state.t, self.state.q, v, touching, slips, 0.0, refuse)
+        group = self.impacts.without_forces(self.state.t, self.state.q, v, touching, slips, 0.0)
         if group is None:
             return []
         self.change_velocity(v)
@@ -283,7 +280,7 @@ class Instant:
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve the impact of a single contact or limit; return the fields of its record."""
-        impact = self._impacts.resolve(self.state.t, self.state.q, self.state.v, i, approach)
+        impact = self.impacts.resolve(self.state.q, self.state.v, i, approach)
         for text in impact.notes:
             self.note(text)
         if impact.resting:
@@ -312,7 +309,7 @@ class Instant:
         beyond = len(before) - MOST_IMPACTS * len(every)
         if beyond < 0:
             return self._collide_together(i, touching) or [self._collide(i, approach)]
-        impact = self._impacts.resolve_group(self.state.q, self.state.v, i, every, limit=True)
+        impact = self.impacts.resolve_group(self.state.q, self.state.v, i, every, limit=True)
         if impact is None or not impact.struck or beyond > len(every):
             raise IrregularMotionError(
                 f"scene: {len(before)} impacts at t = {self.state.t:.6g} s do not end, the last at "
@@ -324,10 +321,9 @@ class Instant:
 
     def _collide_together(self, first: int, touching: list[int]) -> list[dict[str, Any]]:
         """Resolve an impact at several contacts; return the fields of its records, none if one takes part."""
-        if len(touching) < 2 or not self._impacts.together:
+        if len(touching) < 2 or not self.impacts.together:
             return []
-        refuse = self.crowds_refused
-        impact = self._impacts.resolve_group(self.state.q, self.state.v, first, touching, refuse=refuse)
+        impact = self.impacts.resolve_group(self.state.q, self.state.v, first, touching)
         if impact is None:
             return []
         return self._take_over_group(impact)
@@ -382,7 +378,7 @@ class Instant:
             "v_after": self.state.v,
             "contact_space": contact_space,
             "resting": resting,
-            "record": self._recorded and touches,
+            "record": self._recorded,
             "contact": contacts[i] if touches and contacts[i].pair is not None else None,
         }
 
@@ -393,7 +389,7 @@ class Instant:
 
     def change_velocity(self, v: Array) -> None:
         """Replace the velocity (nv,), and add the change of kinetic energy to that of the impacts."""
-        energy = self._impacts.kinetic_energy
+        energy = self.impacts.kinetic_energy
         self.state.impact_energy += energy(self.state.q, v) - energy(self.state.q, self.state.v)
         self.state.v = v
 
@@ -408,10 +404,9 @@ class Instant:
         Returns:
             Whether there was such an impact.
         """
-        without = leaving or not self.state.forces_found
         work = self.dynamics.work
         unbounded = self.dynamics.forces_unbounded(
-            self.state.t, self.state.q, self.state.v, without, singular
+            self.state.t, self.state.q, self.state.v, leaving, singular
         )
         # within rounding of a singularity the equations have no solution, or many
         if not unbounded and (singular == SINGULAR or work.forces_unique):
@@ -419,10 +414,10 @@ class Instant:
         modes = work.modes
         touching = self._closed(modes[: len(self.names)])
         slips = (modes[touching] == SLIP) & (np.array(touching) < work.contacts)
-        passed = without and work.force_margin == -math.inf
+        passed = leaving and work.force_margin == -math.inf
         slack = max(NEARLY_SINGULAR * passed, CLEAR * singular)
         now = self.state.t, self.state.q, self.state.v
-        group = self._impacts.without_forces(*now, touching, slips, slack, self.crowds_refused)
+        group = self.impacts.without_forces(*now, touching, slips, slack)
         if group is None:
             return False
         slipping = self._names(touching, slips)
@@ -435,14 +430,14 @@ class Instant:
 
     # ---- contact modes
 
-    def _set_modes(self, slow: Integers) -> int:
+    def _set_modes(self, slow: Integers) -> tuple[int, bool]:
         """Set the modes of the contacts that touch without bouncing.
 
         Args:
             slow: (n + nl,) nonzero for these, as `approach` fills it.
 
         Returns:
-            A contact for which no admissible force exists, or −1.
+            A contact for which no admissible force exists, or −1; whether forces were found.
         """
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained
@@ -451,13 +446,12 @@ class Instant:
         jammed, converged, energy = self.dynamics.set_modes(self.state.t, self.state.q, self.state.v, slow)
         self.state.impact_energy += energy
         if jammed >= 0:
-            return jammed
-        self.state.forces_found = converged
+            return jammed, False
         same = bool((work.modes == before).all())
         work.force_bound_ignored, work.force_bound_lost = constrained and same, False
         if not same or work.driven:
             self._record_modes()
-        return -1
+        return -1, converged
 
     def set_modes_ahead(self, step: DenseStep) -> None:
         """Set the modes that follow from the forces slightly later, on the continuation of a step.

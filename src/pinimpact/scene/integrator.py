@@ -281,7 +281,7 @@ class Integrator:
         if self.events:
             interruption = self.events.within(step, min(time, step.end))
             if interruption is not None:
-                self._interrupt(step, interruption, arriving if interruption.time == time else None)
+                self._interrupt(step, interruption)
                 return natural
         if meeting is not None:
             self._end_at_meeting(step, meeting)
@@ -421,19 +421,13 @@ class Integrator:
         if self.work.drift_at_end > self.drift_tolerance:
             self.instant.correct_constraint_drift()
 
-    def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
-        """End a step at a user event.
-
-        Args:
-            step: The step.
-            interruption: The event.
-            arriving: Number of the contact or limit whose gap closes at the same time, or None.
-        """
+    def _interrupt(self, step: DenseStep, interruption: Interruption) -> None:
+        """End a step at a user event."""
         state = self.state
         self._cut(step, interruption.time)
         self._restart_after(interruption)
         if state.ended_by is None:
-            self._settle_and_begin(arriving)
+            self._settle_and_begin()
         if interruption.velocity is not None:
             self._sample()
 
@@ -493,7 +487,5 @@ class Integrator:
         """Resolve the impacts and contact modes of this instant, and count it for `max_impacts`."""
         before = len(self.record.impacts)
         self.instant.settle(arriving)
-        if self.instant.resolve_jam():
-            self.instant.settle()
         if len(self.record.impacts) > before:
             self.progress.count_impacts(before)

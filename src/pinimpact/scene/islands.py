@@ -27,13 +27,13 @@ def tree_masses(model: pin.Model) -> Array:
 
 
 def islands(roots: Integers, ends: Integers) -> Integers:
-    """Return the island (njoints,) of each tree root; contacts with the world connect nothing.
+    """Return the island (njoints,) of each joint; contacts with the world connect nothing.
 
     Args:
-        roots: (njoints,) see `tree_roots`; only its length is used.
-        ends: (k, 2) roots of the two trees of each contact, 0 for the world.
+        roots: (njoints,) see `tree_roots`.
+        ends: (k, 2) the two joints of each contact, 0 for the world.
     """
-    island = np.arange(len(roots))
+    island = roots.copy()
     for a, b in ends[(ends > 0).all(axis=1)].tolist():
         island[island == island[a]] = island[b]
     return island

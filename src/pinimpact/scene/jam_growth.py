@@ -42,25 +42,13 @@ def growing_indentations(
 ) -> Array | None:
     """Return the relative indentations (n,) that grow fastest, with maximum 1, or None if none grow.
 
-    Contacts that would pull are released one after the other. If those left do not grow, subsets are tried
-    that grow while they lift the others. (theory.md, 13.2, steps 2 and 3) Arguments are those of
-    `friction_of_jam`, and the stiffnesses (n,).
+    If all contacts do not grow together, subsets are tried that grow while they lift the others. (theory.md,
+    13.2, steps 2 and 3) Arguments are those of `friction_of_jam`, and the stiffnesses (n,).
     """
     numbers = delassus, velocity, friction, slips, stiffness
     count = len(velocity)
-    active = list(range(count))
-    while active:
-        grown = _fastest_growth(active, *numbers)
-        if grown is None:
-            break
-        forces = grown[0]
-        if forces.min() >= -NEGLIGIBLE * forces.max():
-            return _indentations(active, forces, stiffness)
-        del active[int(np.argmin(forces))]
-    if count > MOST_CHOSEN:
-        return None
-    for fewer in range(count - 1, 0, -1):
-        for some in combinations(range(count), fewer):
+    for chosen in range(count, 0 if count <= MOST_CHOSEN else count - 1, -1):
+        for some in combinations(range(count), chosen):
             grown = _fastest_growth(list(some), *numbers)
             if grown is None:
                 continue
@@ -68,7 +56,7 @@ def growing_indentations(
             others = np.delete(rates, some)
             if (
                 forces.min() >= -NEGLIGIBLE * forces.max()
-                and others.min() >= -NEGLIGIBLE * np.abs(rates).max()
+                and others.min(initial=0.0) >= -NEGLIGIBLE * np.abs(rates).max()
             ):
                 return _indentations(some, forces, stiffness)
     return None
@@ -84,7 +72,7 @@ def _fastest_growth(
 ) -> tuple[Array, Array] | None:
     """Return the normal forces of the fastest growing indentations of active contacts, or None if none grow.
 
-    The forces have a positive sum, and the largest magnitude is 1. Also returned are the normal accelerations
+    The one of largest magnitude is 1. Also returned are the normal accelerations
     (n,) of all contacts under these forces.
     """
     places = rows_of(np.array(active))
@@ -106,8 +94,6 @@ def _fastest_growth(
         return None
     forces = vectors[:, fastest].real
     forces /= forces[np.argmax(np.abs(forces))]
-    if forces.sum() < 0.0:
-        forces = -forces
     of_rows = np.empty(len(rows))
     of_rows[normal], of_rows[~normal] = forces, answer @ forces
     total = -along @ of_rows

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import RANK, TINY
+from .._numeric.tolerances import TINY
 from ..arrays import Array, Bools, Integers
 from ..contact_space.many_inputs import rows_of
 from ..contact_space.problem import ImpactProblem
@@ -32,7 +32,7 @@ from ..robot.pinocchio_bridge import kinetic_energy
 from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact, impact_in_steps
 from ._kernels.contact_forces import FREE, SLIP
-from ._kernels.tolerances import LEAST_NUDGE, NUDGE, ROUNDING
+from ._kernels.tolerances import LEAST_NUDGE, NEGLIGIBLE, NUDGE, ROUNDING
 from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
@@ -40,7 +40,7 @@ from .islands import islands, tree_roots
 from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
 from .scene import Scene
-from .switched_off import locked_joints
+from .switched_off import limit_restitution, locked_joints
 
 _compiled: set[tuple[bool, bool]] = set()
 
@@ -69,6 +69,8 @@ class SceneImpacts:
             relative error of time steps is the square of its ratio to the velocity; impacts need not be more
             accurate.
         crowd: Number of contacts above which the waves of an impact are followed only briefly.
+        refuses: Whether to raise an error for impacts without restitution whose waves are not resolved.
+            Adaptive steps are then tried for up to `FEW` contacts.
     """
 
     def __init__(
@@ -80,22 +82,19 @@ class SceneImpacts:
         held: list[Contact],
         resting_speed: float,
     ) -> None:
-        without = scene.without
         self._model = model
         self._data = data
         self._dynamics = dynamics
         self._held = held
         self._locked = locked_joints(scene)
-        self._limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
-        self._sustained = "sustained contact" not in without
-        self._resting_speed = resting_speed if self._sustained else 0.0
-        self._yielding = free_velocities(model, self._locked)
-        self._mobility = self._yielding.astype(np.float64)
+        self._limit_restitution = limit_restitution(scene)
+        self._resting_speed = 0.0 if "sustained contact" in scene.without else resting_speed
+        self._mobility = free_velocities(model, self._locked).astype(np.float64)
         self._roots = tree_roots(model)
         self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
-        self.unresolved, self.crowd = 0.0, math.inf
+        self.unresolved, self.crowd, self.refuses = 0.0, math.inf, False
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
 
     def compile_kernels(self, q: Array) -> None:
@@ -115,21 +114,19 @@ class SceneImpacts:
                     self._impact(replace(contacts[i], restitution=0.0), q, zero)
                     self.without_collision(q, zero, i)
 
-    def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:
+    def resolve(self, q: Array, v: Array, i: int, approach: float) -> Impact:
         """Resolve the impact of a single contact or joint limit.
 
         Args:
-            t: Time [s].
             q: (nq,) configuration.
             v: (nv,) velocity before the impact.
             i: Number of the contact; joint limits follow the contacts.
             approach: Speed of approach [m/s].
         """
-        slow = self._sustained and approach <= self._resting_speed
-        contacts = len(self._dynamics.contacts)
-        if i < contacts:
+        slow = approach <= self._resting_speed
+        if i < len(self._dynamics.contacts):
             return self._of_contact(q, v, i, slow)
-        return self._of_limit(t, q, v, self._dynamics.limits[i - contacts], approach, slow)
+        return self._of_limit(q, v, i, approach, slow)
 
     def _of_contact(self, q: Array, v: Array, i: int, slow: bool) -> Impact:
         contact = self._dynamics.contacts[i]
@@ -138,7 +135,7 @@ class SceneImpacts:
         notes: tuple[str, ...] = ()
         if not slow:
             hit, notes = self._impact(contact, q, v)
-            if self._sustained and not plastic:
+            if not plastic:
                 resting = bool(self._dynamics.gaps_at(q, hit.v)[i, 1] < self._resting_speed)
         if hit is None or resting:
             known = self._plastic.get(i)
@@ -157,25 +154,22 @@ class SceneImpacts:
             hit = impact_in_steps(self._model, self._data, q, v, contact, asked)
         return hit, tuple(str(warning.message) for warning in caught)
 
-    def _of_limit(
-        self, t: float, q: Array, v: Array, limit: JointLimit, approach: float, slow: bool
-    ) -> Impact:
-        e = self._limit_restitution
-        resting = e > 0.0 and self._sustained and (slow or e * approach < self._resting_speed)
+    def _of_limit(self, q: Array, v: Array, i: int, approach: float, slow: bool) -> Impact:
+        e, limit = self._limit_restitution, self._dynamics.limits[i - len(self._dynamics.contacts)]
+        resting = e > 0.0 and (slow or e * approach < self._resting_speed)
         e = 0.0 if resting else e
-        k, speed = limit.index_v, float(v[limit.index_v])
-        column = self._yielding_inverse(t, q, v)[:, k]
-        c = float(column[k])
+        _, matrices = self._matrices(q, [i])
+        c, k = float(matrices.delassus[2, 2]), limit.index_v
         constrained = self._held or self._locked
         if constrained and c <= ROUNDING * float(inverse_mass(self._model, self._data, q)[k, k]):
             raise SimulationError(
-                f"locked: the joint limit {limit.name!r} is hit at {abs(speed):.6g}, but held "
+                f"locked: the joint limit {limit.name!r} is hit at {abs(float(v[k])):.6g}, but held "
                 "contacts or locked joints keep the joint from moving; remove them there",
                 value=limit.name,
             )
-        return Impact(
-            v - column * ((1.0 + e) * speed / c), resting, partial(of_limit, c, limit.sign * speed, e)
-        )
+        rate = limit.sign * float(v[k])
+        change = matrices.response[:, 2] * ((1.0 + e) * rate / c)
+        return Impact(v - change, resting, partial(of_limit, c, rate, e))
 
     def resolve_group(
         self,
@@ -184,7 +178,6 @@ class SceneImpacts:
         first: int,
         touching: Sequence[int],
         limit: bool = False,
-        refuse: bool = False,
     ) -> GroupImpact | None:
         """Resolve an impact at several contacts and joint limits.
 
@@ -194,16 +187,13 @@ class SceneImpacts:
             first: The contact or limit that collides.
             touching: All that touch, `first` among them, contacts before limits.
             limit: Whether to take the limit of endless impacts, which is a plastic impact of all. (14.8)
-            refuse: Whether to raise an error for an impact without restitution in which more than `CROWD`
-                contacts take part or whose waves are not resolved; adaptive steps are tried for up to `FEW`.
-                With more than `crowd` contacts an error is raised unless few events resolve the impact.
 
         Returns:
             The impact; None if only `first` takes part. If `first` has restitution and others are coupled to
             it but lifted, the impact is returned too, since the law is then the energetic one.
 
         Raises:
-            CrowdError: The impact is refused.
+            CrowdError: The impact is refused, see `refuses`, or more than `crowd` contacts have many events.
         """
         touching = self._connected(first, touching)
         if len(touching) == 1:
@@ -222,9 +212,7 @@ class SceneImpacts:
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
         sources = [touching[k] for k in chosen.tolist()]
-        refuse = refuse and not any(e)
-        if refuse and len(chosen) > CROWD:
-            raise CrowdError(sources, e, followed=False)
+        refuse = self.refuses and not limit and not any(e)
         crowd = not limit and not self._locked and len(chosen) > self.crowd  # steps do not lock joints
         policy = self.policy
         if limit:
@@ -256,7 +244,7 @@ class SceneImpacts:
         return group_impact(v, response, solved, sources, axes, 0.0)
 
     def without_forces(
-        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: Bools, slack: float, refuse: bool
+        self, t: float, q: Array, v: Array, touching: Sequence[int], slips: Bools, slack: float
     ) -> GroupImpact | None:
         """Resolve an impact without collision, where no admissible forces exist. (theory.md, 13.2)
 
@@ -267,13 +255,12 @@ class SceneImpacts:
             touching: All that touch, contacts before limits.
             slips: (k,) whether each of these slips; the others are at rest.
             slack: Largest relative increase of friction that makes the forces unbounded; 0: no forces exist.
-            refuse: Whether to raise an error if its waves cannot be followed from event to event.
 
         Returns:
             The impact, or None if there is none.
 
         Raises:
-            IrregularMotionError: The impact is refused.
+            IrregularMotionError: It is refused, see `refuses`: its waves are not resolved.
         """
         every, matrices = self._matrices(q, touching)
         velocity = matrices.velocity(v)
@@ -293,8 +280,6 @@ class SceneImpacts:
             matrices.delassus, velocity, friction, slips, _stiffness(every, matrices.delassus)
         )
         if growing is None:
-            if slack > 0.0 or not friction[~slips].any():
-                return None
             growing = np.maximum(-push, 0.0) / -push.min()  # in proportion to the loads (13.7)
         # initial approach relative to the slip of the fastest growing contact, and to the fastest slip (13.2)
         jamming = int(np.argmax(growing * slips))
@@ -304,11 +289,11 @@ class SceneImpacts:
         e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
         numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
         try:
-            accuracy = 0.0 if refuse else self._accuracy(velocity)
+            accuracy = 0.0 if self.refuses else self._accuracy(velocity)
             solved = self._solve("propagate", every, numbers, e, touching, accuracy)
         except UnstoppableApproachError:
             return None
-        if refuse and not solved.solution.story.resolved:
+        if self.refuses and not solved.solution.story.resolved:
             raise IrregularMotionError("scene: an impact without collision is not resolved")
         change = matrices.delassus @ solved.solution.impulse.ravel()
         if not float(np.abs(change).max()) > GROWN * nudge:
@@ -325,7 +310,7 @@ class SceneImpacts:
         """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
         if len(contacts) <= CROWD:
             return
-        ends = self._roots[self._dynamics.work.contact_joints[contacts]]
+        ends = self._dynamics.work.contact_joints[contacts]
         if len(np.unique(islands(self._roots, ends)[ends[ends > 0]])) > ISLANDS:  # the world connects nothing
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies are active at once")
 
@@ -338,7 +323,6 @@ class SceneImpacts:
         of_contact, ends = every < count, np.empty((len(every), 2), dtype=np.int64)
         ends[of_contact] = work.contact_joints[every[of_contact]]
         ends[~of_contact] = work.velocity_joint[work.limit_v[every[~of_contact] - count], None]
-        ends = self._roots[ends]
         of = islands(self._roots, ends)[ends.max(axis=1)]
         return [i for i, island in zip(touching, of[1:].tolist(), strict=False) if island == of[0]]
 
@@ -402,32 +386,17 @@ class SceneImpacts:
         return 1.0 if k < 0 else float(self._dynamics.work.joint_metres[self._dynamics.limits[k].index_v])
 
     def _is_plastic(self, contact: Contact | None) -> bool:
-        """Whether a contact or limit has no restitution, and nothing is held or locked."""
-        if self._held or self._locked:
-            return False
+        """Whether a contact or limit has no restitution."""
         return (self._limit_restitution if contact is None else contact.restitution) == 0.0
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact or limit at a gap rate [m/s]."""
         return self._limit_restitution if contact is None else contact.restitution_at(max(-rate, 0.0))
 
-    def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
-        """Return M⁻¹ with held contacts and locked joints projected out."""
-        nv = self._model.nv
-        inverse = inverse_mass(self._model, self._data, q)
-        if self._yielding.all() and not self._held:
-            return inverse
-        rows = np.eye(nv)[~self._yielding]
-        if self._held:
-            contacts = len(self._dynamics.contacts)
-            held = range(contacts - len(self._held), contacts)
-            rows = np.vstack([rows, self._dynamics.free_motion_at(t, q, v, held).jacobian.reshape(-1, nv)])
-        response = inverse @ rows.T
-        inverse -= response @ np.linalg.pinv(rows @ response, rcond=RANK, hermitian=True) @ response.T
-        return inverse
-
     def without_collision(self, q: Array, v: Array, i: int) -> Impact:
         """Resolve the impact without collision at a single slipping contact.
+
+        Within rounding of the friction from which the normal acceleration is negative, that friction is used.
 
         Args:
             q: (nq,) configuration.
@@ -438,9 +407,13 @@ class SceneImpacts:
         matrices = self._matrices_of(q, contact)
         velocity = matrices.velocity(v)
         velocity[2] = 0.0
-        e = contact.restitution_at(0.0)
+        e, friction = contact.restitution_at(0.0), contact.sustained_friction
+        along = float(matrices.delassus[2, :2] @ velocity[:2])
+        if along > 0.0:
+            largest = (1.0 + NEGLIGIBLE) * float(matrices.delassus[2, 2])
+            friction = max(friction, largest * math.hypot(*velocity[:2]) / along)
         problem = ImpactProblem(
-            *(matrices.delassus, velocity, contact.sustained_friction, e, contact.law),
+            *(matrices.delassus, velocity, friction, e, contact.law),
             surface_velocity=matrices.surface_velocity,
             velocity_scale=matrices.velocity_scale(v),
             factor=matrices.factor,

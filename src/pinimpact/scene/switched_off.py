@@ -45,6 +45,11 @@ def locked_joints(scene: Scene) -> Sequence[str | int]:
     return () if "locked joints" in scene.without else scene.locked
 
 
+def limit_restitution(scene: Scene) -> float:
+    """Return the coefficient of restitution of the joint limits, zero if it is switched off."""
+    return 0.0 if "restitution" in scene.without else scene.limit_restitution
+
+
 def in_impacts(scene: Scene) -> Scene:
     """Return a scene with the switched-off effects removed from its model, contacts and joints."""
     return replace(

@@ -37,7 +37,7 @@ from .joint_charts import displaced
 from .rest import Rest
 from .step_taken import Near, Removal, StepTaken
 from .step_uniqueness import step_tolerances
-from .switched_off import locked_joints
+from .switched_off import limit_restitution, locked_joints
 
 FAILED = 0.1
 """Largest acceptable residual of a contact problem, relative to its velocities."""
@@ -89,7 +89,7 @@ class TimeStepping(Integrator):
         self._no_change, self._gravity = np.zeros(model.nv), float(np.linalg.norm(model.gravity.linear))
         # contacts whose impact law is that of a step (Moreau's) close within its contact problem
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
-        alike += [scene.limit_restitution == 0.0] * len(self.dynamics.limits)
+        alike += [limit_restitution(scene) == 0.0] * len(self.dynamics.limits)
         self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
         self._restitution = np.zeros(len(alike))
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
@@ -143,7 +143,7 @@ class TimeStepping(Integrator):
                 while (middle := 0.5 * (begin + ends[-1])) <= state.t:
                     begin = middle
                 ends.append(middle)
-        if self.state.ended_by is None and abs(end - state.t) <= negligible:
+        if self.state.ended_by is None:
             state.t = self.record.dense_steps[-1].end = stop if end == stop else end
         state.steps += 1
         self._sample()
@@ -193,7 +193,7 @@ class TimeStepping(Integrator):
         if self.events:
             interruption = self.events.within(step, step.end)
             if interruption is not None:
-                self._interrupt(step, interruption, None)
+                self._interrupt(step, interruption)
                 return CUT
         state.works = step.work_at(step.end)
         state.impact_energy += lost
@@ -434,7 +434,7 @@ class TimeStepping(Integrator):
             system: Matrices of the step.
         """
         state, nv, v = self.state, self.model.nv, self.state.v
-        moved, still, before = np.zeros(nv), np.zeros(nv), self._energy()
+        moved, still, start = np.zeros(nv), np.zeros(nv), (state.q, v)
         for attempt in range(MOST_REMOVALS):
             self._faces.place(state.q, state.v, h)
             unknown = attempt > 0 and not len(self._held)
@@ -452,14 +452,13 @@ class TimeStepping(Integrator):
                 step.taken.removals.append(Removal(correction, pushes, state.q, state.v, rows, near))
             state.q, state.v = displaced(self.work.joint_charts, state.q, state.v, correction)
             moved += correction
-        state.impact_energy += self._energy() - before
+        state.impact_energy += self._energy(state.q, state.v) - self._energy(*start)
         step.coefficients[0, : 2 * nv] += np.concatenate([moved, state.v - v])
         return moved
 
-    def _energy(self) -> float:
-        """Return the present energy [J]."""
-        model, data, q = self.model, self.data, self.state.q
-        return potential_energy(model, data, q) + kinetic_energy(model, data, q, self.state.v)
+    def _energy(self, q: Array, v: Array) -> float:
+        """Return the energy at a state [J]."""
+        return potential_energy(self.model, self.data, q) + kinetic_energy(self.model, self.data, q, v)
 
     # ---- impacts
 
