@@ -158,6 +158,26 @@ def test_row_order_of_non_finite_matrix_is_valid(place):
     assert (order < 3).all()
 
 
+@pytest.mark.parametrize("sizes", [(1,), (6, 6), (4, 9, 40)])
+def test_inverse_of_mass_matrices_with_branches(sizes):
+    """Entries between two branches that start at the third velocity of a tree are zero."""
+    rng = np.random.default_rng(len(sizes))
+    tree = np.repeat(np.arange(len(sizes)), sizes)
+    mass, first = np.zeros((len(tree), len(tree))), 0
+    for size in sizes:
+        lower = np.tril(rng.normal(size=(size, size))) + 3.0 * np.eye(size)
+        half = 2 + (size - 2) // 2
+        lower[half:, 2:half] = 0.0
+        mass[first : first + size, first : first + size] = lower.T @ lower
+        first += size
+    added, inverse, filled = rng.uniform(0.0, 1.0, len(tree)), np.zeros_like(mass), np.zeros_like(mass)
+    assert invert_trees(np.triu(mass), added, tree, filled, inverse)
+    assert np.array_equal(filled, mass + np.diag(added))
+    assert (inverse == inverse.T).all()
+    assert inverse == pytest.approx(np.linalg.inv(mass + np.diag(added)), abs=1e-13)
+    assert not invert_trees(-np.triu(mass), np.zeros(len(tree)), tree, filled, inverse)
+
+
 def test_non_finite_mass_matrix_has_no_inverse():
     upper, inverse = np.diag([1.0, np.nan, 1.0]), np.zeros((3, 3))
     tree, added = np.array([0, 1, 1]), np.zeros(3)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import warnings
 import weakref
 from collections.abc import Callable, Sequence
@@ -35,6 +36,7 @@ from ..errors import ModelError
 from ._kernels import tree
 from ._kernels.free_bodies import BODY as BODIES
 from ._kernels.free_bodies import accelerate_bodies, move_bodies
+from .articulated_bodies import eliminate, inverse_of, is_accurate
 from .forest import Forest, crba, data_of, parts_of
 from .names import singular_mass
 from .tolerances import AGREEMENT
@@ -71,7 +73,7 @@ def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     mass = crba(model, data, q)
     with contextlib.suppress(np.linalg.LinAlgError):  # sufficient in most cases, without compiling a kernel
         pivots = np.diag(np.linalg.cholesky(mass[::-1, ::-1]))[::-1] ** 2
-        if (np.diag(mass) / pivots).prod() < 1.0 / RANK:
+        if np.log(np.diag(mass) / pivots).sum() < -math.log(RANK):
             return
     parents = np.array(data.parents_fromRow, dtype=np.int64)
     stopped = tree.factor(mass, parents, np.zeros_like(mass))
@@ -116,6 +118,8 @@ def robot_dynamics(model: pin.Model) -> RobotDynamics:
     forest = data_of(model)
     if isinstance(forest, Forest):
         return _OfParts(model, forest)
+    if not is_accurate(model):
+        return _Eliminated(model)
     if trusted(model, _disagreement_of_dynamics):
         with contextlib.suppress(ElsewhereError):
             return _InPlace(model)
@@ -172,13 +176,16 @@ class _Copied(_Filled):
 
     def _accelerate(self) -> None:
         model, data = self.model, self._moving
-        self.acceleration[:] = pin.aba(model, self._accelerated, self.q, self.v, self.tau)
+        self.acceleration[:] = self._solve()
         pin.forwardKinematics(model, data, self.q, self.v, self.acceleration)
         self._copy_placements()
         for i, (placement, v, a) in enumerate(zip(data.oMi, data.v, data.a, strict=True)):
             self.velocities[i] = placement.act(v).vector
             self.accelerations[i] = (placement.act(a) - model.gravity).vector
         self.joint_jacobian[:] = pin.computeJointJacobians(model, self._turning, self.q).reshape(6, -1)
+
+    def _solve(self) -> Array:
+        return np.asarray(pin.aba(self.model, self._accelerated, self.q, self.v, self.tau))
 
     def _invert(self) -> None:
         self.minverse[:] = pin.computeMinverse(self.model, self._inverted, self.q)
@@ -191,6 +198,19 @@ class _Copied(_Filled):
     def _copy_placements(self) -> None:
         self.placements[:, :9] = [placement.rotation.T.ravel() for placement in self._moving.oMi]
         self.placements[:, 9:] = [placement.translation for placement in self._moving.oMi]
+
+
+class _Eliminated(_Copied):
+    """The same, by elimination with M."""
+
+    _mass: Array
+
+    def _solve(self) -> Array:
+        acceleration, self._mass = eliminate(self.model, self._accelerated, self.q, self.v, self.tau)
+        return acceleration
+
+    def _invert(self) -> None:
+        self.minverse[:] = inverse_of(self._mass)
 
 
 class _OfParts(_Filled):

@@ -19,3 +19,7 @@ SLACK = 1e-4
 ROUNDED_INERTIA = 1e-2
 """Excess of the largest principal moment over the sum of the others, relative to the largest, without a
 warning: a thin plate has equality, and descriptions are rounded."""
+
+LOST_DIGITS = 1e3
+"""Error of accelerations by articulated bodies over that of elimination with M, up to which they are used:
+three of about ten digits."""

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from .._numeric.tolerances import COMPUTED
 from ..arrays import Array
+from ..robot.articulated_bodies import acceleration_slopes
 from ..robot.derivatives import check_joints
 from ..robot.pinocchio_bridge import Call, call_addresses
 from ._kernels.contact_forces import SLIP, STICK
@@ -179,4 +180,4 @@ class SlopesOfModes:
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:
     """Overwrite `smooth` (3, nv, nv) with ∂v̇/∂q, ∂v̇/∂v and ∂v̇/∂τ of a model, data, state and force."""
-    smooth[0], smooth[1], smooth[2] = pin.computeABADerivatives(*given)
+    smooth[0], smooth[1], smooth[2] = acceleration_slopes(*given)

@@ -12,9 +12,8 @@ from ..._numeric.augmented_lagrangian import solve_velocities
 from ..._numeric.augmented_newton import VelocityProblem
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
 from ..._numeric.loops import assign, filled, flags
-from ..._numeric.lu import factorize
-from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
+from ..._numeric.semidefinite import invert_definite
 from ..._numeric.tolerances import LITTLE, STALLED
 
 USABLE = STALLED
@@ -43,20 +42,16 @@ def invert_trees(upper, added, tree, mass, inverse):
                 size += 1
         if size == 0:
             break
-        block, order = np.empty((size, size)), np.empty(size, dtype=np.int64)
+        block = np.empty((size, size))
         for a in range(size):
             for b in range(size):
                 i, j = moves[min(a, b)], moves[max(a, b)]
                 block[a, b] = upper[i, j] + (added[i] if a == b else 0.0)
                 mass[moves[a], moves[b]] = block[a, b]
-        regular = factorize(block, order) and regular
-        column = np.empty(size)
-        for b in range(size):
-            for a in range(size):
-                column[a] = 1.0 if a == b else 0.0
-            solve_factored(block, order, column)
-            for a in range(size):
-                inverse[moves[a], moves[b]] = column[a]
+        regular = invert_definite(block) and regular
+        for a in range(size):
+            for b in range(size):
+                inverse[moves[a], moves[b]] = block[a, b]
     return regular
 
 
