@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -158,6 +159,21 @@ class SlopesOfModes:
         at_once = found.response[0], found.by_state[0, nv:], found.inverse[0]
         return ModeSlopes(acceleration, *at_once, tuple(slips), self._at_bound(found.unique))
 
+    def gaps(self) -> list[int]:
+        """Return the rows of the constraints that are rates of gaps which remain closed."""
+        work, held, row = self.dynamics.work, self.dynamics.work.bilateral.tolist(), 0
+        found: list[int] = []
+        for i, mode in zip(work.active_index.tolist(), work.active_mode.tolist(), strict=True):
+            end = row + (1 if mode == SLIP else 3)
+            found += range(row if held[i] else end - 1, end)
+            row = end
+        if work.active_scalars == 0:
+            return found
+        lower, upper, load = work.scalar_lower, work.scalar_upper, np.abs(work.solution[row:])
+        friction = np.abs(np.where(np.isinf(lower), upper, lower))  # may hold a joint instead of its limit
+        limits = (np.isinf(lower) != np.isinf(upper)) & ((friction == 0.0) | (load > friction))
+        return found + (row + np.flatnonzero(limits)).tolist()
+
     def _at_bound(self, unique: bool) -> bool:
         """Whether friction of a sticking contact or joint is at its bound in the modes last evaluated.
 
@@ -170,7 +186,7 @@ class SlopesOfModes:
             start += len(force)
             if mode == STICK:
                 bounds.append(friction * force[2])
-                margins.append(bounds[-1] - np.hypot(*force[:2]))
+                margins.append(bounds[-1] - math.hypot(*force[:2].tolist()))
         dry = np.isfinite(work.scalar_lower) & np.isfinite(work.scalar_upper)
         bounds += work.scalar_upper[dry].tolist()
         margins += (work.scalar_upper - np.abs(work.solution[start:]))[dry].tolist()

@@ -80,20 +80,22 @@ class Saltation:
         if impacts:
             before = self.before(impacts[0], first.closed)
             if before.closed is not None:
-                x = self._admitted(x, self.slopes.at(before, before.end))
+                x = self._admitted(x, self.slopes.at(before, before.end), self.slopes.gaps())
             return self.cross(x, before, first, impacts)
         if first.closed is None:
             return x
         after = self._begun(first)
         self._flag_rest(x, first, first.closed, after)
-        return self._without_load(x, after, first.closed, self._admitted(x, after))
+        return self._without_load(x, after, first.closed)
 
-    def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet, admitted: Array) -> Array:
-        """Return the `admitted` changes, as NaN where x moves contacts that no load would close again."""
+    def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet) -> Array:
+        """Return the admitted changes, as NaN where x moves contacts that no load would close again."""
         dynamics, nv = self._dynamics, len(x) // 2
-        pushes = np.abs(mode.response * dynamics.work.solution)
+        gaps, work = self.slopes.gaps(), dynamics.work
+        admitted = self._admitted(x, mode, gaps)
+        pushes = work.joint_metres[:, None] * np.abs(mode.response[:, gaps] * work.solution[gaps])
         size = max(float(np.linalg.norm(self._model.gravity.linear)), dynamics.fastest(mode.acceleration))
-        rows = mode.rows[[k for k in self._gaps() if dynamics.fastest(pushes[:, k]) <= COMPUTED * size]]
+        rows = mode.rows[gaps][pushes.max(axis=0, initial=0.0) <= COMPUTED * size]
         if not closed.unique or self._bilateral.any() or len(rows) == 0:
             return admitted
         every, size_of = np.vstack([rows @ x, rows[:, nv:] @ x[:nv]]), np.abs(rows)
@@ -110,12 +112,12 @@ class Saltation:
             self.boundary |= Boundary.STICK_THRESHOLD
         return slopes
 
-    def _admitted(self, x: Array, mode: ModeSlopes) -> Array:
-        """Return changes at a start, projected onto those that the active contacts admit."""
+    def _admitted(self, x: Array, mode: ModeSlopes, gaps: list[int]) -> Array:
+        """Return changes at a start, projected onto those that the active contacts, with `gaps`, admit."""
         if len(mode.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
-        nv, gaps = len(x) // 2, self._gaps()
+        nv = len(x) // 2
         place = np.zeros((len(gaps), 2 * nv))
         place[:, :nv] = mode.rows[gaps, nv:]
         return _onto(mode, stop(place, mode.inverse @ place[:, :nv].T, 0, x))
@@ -123,26 +125,15 @@ class Saltation:
     def _flag_rest(self, x: Array, first: DenseStep, closed: ClosedSet, after: ModeSlopes) -> None:
         """Flag changes at a start that move contacts which begin to slide: derivatives are one-sided."""
         work, nv, still = self._dynamics.work, len(x) // 2, self._dynamics.error(first.v)
+        joints = (closed.sliding != 0.0) & (work.joint_metres * np.abs(first.v) <= still)
+        if not (closed.slips or joints.any()):
+            return
         slow = self.slopes.speeds(first, np.array([first.start]))[0] <= still
         begins = work.active_index[slow & (work.active_friction > 0.0)]
-        joints = (closed.sliding != 0.0) & (work.joint_metres * np.abs(first.v) <= still)
         slips = [slip.rows for slip in after.slips if slip.contact in begins]
         rows = np.vstack([*slips, np.eye(nv, 2 * nv, nv)[joints]])
         if (np.abs(rows @ x) > REMAINS * (np.abs(rows) @ np.abs(x))).any():
             self.boundary |= Boundary.START_AT_REST
-
-    def _gaps(self) -> list[int]:
-        """Return the rows of the constraints that are rates of gaps which remain closed."""
-        work, row = self._dynamics.work, 0
-        found: list[int] = []
-        for i, mode in zip(work.active_index.tolist(), work.active_mode.tolist(), strict=True):
-            end = row + (1 if mode == SLIP else 3)
-            found += range(row if self._bilateral[i] else end - 1, end)
-            row = end
-        lower, upper, load = work.scalar_lower, work.scalar_upper, np.abs(work.solution[row:])
-        friction = np.abs(np.where(np.isinf(lower), upper, lower))  # may hold a joint instead of its limit
-        limits = (np.isinf(lower) != np.isinf(upper)) & ((friction == 0.0) | (load > friction))
-        return found + (row + np.flatnonzero(limits)).tolist()
 
     def before(self, record: ImpactRecord, closed: ClosedSet | None) -> DenseStep:
         """Return a step that ends at the impact where a motion starts, with only held contacts active."""
