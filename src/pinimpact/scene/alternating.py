@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -195,8 +196,13 @@ class Alternating(TimeStepping):
         """Take time steps until a time [s], with a step size that satisfies the tolerance if possible.
 
         The required step size follows from the difference of two solutions, by the first order of the method.
+        Once the error of an interval is unknown, only one solution is computed.
         """
         state, start, begun = self.state, self.mark(), self.state.t
+        if math.isnan(state.stepped[-1].error):
+            self._run(end, state.coarse)
+            state.stepped = (*state.stepped[:-1], replace(state.stepped[-1], end=state.t))
+            return
         q_coarse, v_coarse, impacts_coarse = self._try(start, end, state.coarse)
         q, v, impacts = self._try(start, end, 0.5 * state.coarse)
         error, parts = math.nan, 2
