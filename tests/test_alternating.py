@@ -118,6 +118,22 @@ def test_chattering_control_is_stepped_and_comes_to_rest():
     assert errors[1] < 1e-3
 
 
+def test_interval_of_unknown_error_is_computed_once(monkeypatch):
+    compared, plain = [], Alternating._try
+
+    def unlike(self, start, end, dt):
+        """Return the names of other contacts for each step size, so that the error is unknown."""
+        q, v, _ = plain(self, start, end, dt)
+        compared.append(end)
+        return q, v, [str(dt)]
+
+    monkeypatch.setattr(Alternating, "_try", unlike)
+    trajectory = simulate_auto(chattering(), np.zeros(3), [1.0, 0, 0], 3.0, dt=1e-3)
+    assert all(math.isnan(one.error) for one in trajectory.stepped)
+    assert len(compared) == 2 * len(trajectory.stepped) > 0
+    assert trajectory.q[-1, 0] == pytest.approx(0.5 / 0.7, abs=2e-3)
+
+
 @pytest.mark.parametrize(
     "control",
     [lambda t, q, v: -np.sign(v), lambda t, q, v: -np.tanh(v / 1e-9)],
