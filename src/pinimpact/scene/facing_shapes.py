@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -40,6 +40,35 @@ class _Places:
     numbers: list[int]
     used: int = 0
     corners: dict[int, Corner] = field(default_factory=dict)
+
+
+class _Spheres(NamedTuple):
+    """Spheres that enclose the shapes of some pairs.
+
+    Attributes:
+        sides: (p, 2) numbers of the spheres of each pair.
+        joints: (k,) joints that carry them.
+        centres: (k, 3) their centres in the axes of the joints [m].
+        reach: (k,) their radii [m].
+    """
+
+    sides: Integers
+    joints: Integers
+    centres: Array
+    reach: Array
+
+    @staticmethod
+    def of(pairs: list[ShapePair]) -> _Spheres:
+        """Return the spheres of pairs, one for all shapes at the same place."""
+        known: dict[tuple[int, tuple[float, ...], float], int] = {}
+        sides = np.empty((len(pairs), 2), dtype=np.int64)
+        for p, pair in enumerate(pairs):
+            for k, side in enumerate((pair.a, pair.b)):
+                centre = tuple(side.in_joint.act(side.shape.center).tolist())
+                sides[p, k] = known.setdefault((side.joint, centre, side.shape.reach), len(known))
+        joints = np.array([joint for joint, _, _ in known], dtype=np.int64)
+        centres = np.array([centre for _, centre, _ in known]).reshape(-1, 3)
+        return _Spheres(sides, joints, centres, np.array([reach for _, _, reach in known]))
 
 
 class FacingShapes:
@@ -79,6 +108,7 @@ class FacingShapes:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
         self._ends = work.contact_joints[self._kept]
         self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
+        self._spheres = _Spheres.of([places.pair for places in self._pairs])
         self._solids = _solids([pair for pair, _ in every], dynamics)
         self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
 
@@ -151,22 +181,42 @@ class FacingShapes:
             for k in range(int(found.used[p])):
                 ends = found.points[p, k], found.others[p, k]
                 self._strike(self._box_pairs[p], self._ranges[p, 2] + k, found.normals[p], ends)
-        for places in self._pairs:
-            if self._rests[[places.pair.a.joint, places.pair.b.joint]].all():
-                for i in places.numbers[: places.used] if touching >= 0.0 else ():
+        if not self._pairs:
+            return
+        joints = self._spheres.joints[self._spheres.sides]
+        rests: Bools = self._rests[joints[:, 0]] & self._rests[joints[:, 1]]
+        close = self._may_touch(h, near, touching) & ~rests
+        used = np.array([places.used > 0 for places in self._pairs])
+        for p in np.flatnonzero(close | (used & ((touching >= 0.0) | ~rests))).tolist():
+            places = self._pairs[p]
+            if rests[p]:
+                for i in places.numbers[: places.used]:
                     corner = places.corners[i]
                     self._strike(places.pair, i, corner.normal, (corner.point, corner.other))
                 continue
-            within = touching
-            if touching < 0.0:
-                speed = sum(self._speed(side) for side in (places.pair.a, places.pair.b))
-                within = h * speed + near
-            a, b = places.pair.placed(self._data)
-            apart = a.rotation @ a.shape.center + a.translation - b.rotation @ b.shape.center - b.translation
-            close = None
-            if np.linalg.norm(apart) <= a.shape.reach + b.shape.reach + within:
-                close = patch(a, b, within)
-            self._fill(places, close, touching >= 0.0)
+            within = touching if touching >= 0.0 else self._within[p]
+            facing_patch = patch(*places.pair.placed(self._data), within) if close[p] else None
+            self._fill(places, facing_patch, touching >= 0.0)
+
+    def _may_touch(self, h: float, near: float, touching: float) -> Bools:
+        """Return which pairs (p,) that are not both boxes may touch, by the spheres that enclose the shapes.
+
+        Arguments as in `place`, with `near` [m] added to the path in the time; sets the distance `_within`
+        of each pair at which its shapes may touch within it.
+        """
+        sides, joints, centres, reach = self._spheres
+        turns, shifts = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
+        motions = np.empty((len(joints), 6))
+        for k, joint in enumerate(joints.tolist()):
+            pose = self._data.oMi[joint]
+            turns[k], shifts[k], motions[k] = pose.rotation, pose.translation, self._data.v[joint].vector
+        arm = np.linalg.norm(centres, axis=1) + reach
+        speeds = np.linalg.norm(motions[:, :3], axis=1) + arm * np.linalg.norm(motions[:, 3:], axis=1)
+        centres = np.einsum("kij,kj->ki", turns, centres) + shifts
+        self._within = h * speeds[sides].sum(axis=1) + near
+        apart = np.linalg.norm(centres[sides[:, 0]] - centres[sides[:, 1]], axis=1)
+        within = touching if touching >= 0.0 else self._within
+        return np.asarray(apart <= reach[sides].sum(axis=1) + within, dtype=bool)
 
     def may_pass(self, q: Array, v: Array, h: float) -> bool:
         """Return whether solids may pass through each other in a step (h) with midpoint q and velocity v."""
@@ -184,12 +234,6 @@ class FacingShapes:
         for places in self._pairs:
             found |= {i: places.corners[i] for i in places.numbers[: places.used]}
         return found
-
-    def _speed(self, side: CarriedShape) -> float:
-        """Return an upper bound of the speeds of a shape's points [m/s]."""
-        motion = self._data.v[side.joint]
-        arm = float(np.linalg.norm(side.in_joint.act(side.shape.center))) + side.shape.reach
-        return float(np.linalg.norm(motion.linear) + arm * np.linalg.norm(motion.angular))
 
     def _fill(self, places: _Places, found: Patch | None, contacts: bool) -> None:
         """Assign the corners of a patch to the contacts of a pair, as the kernel does for boxes."""
