@@ -125,6 +125,37 @@ def test_driven_damped_joint_agrees_with_event_driven_scheme():
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.parametrize("damping", [500.0, 5000.0, 50000.0])
+@pytest.mark.parametrize("load", [0.0, 3.0])
+def test_stiff_damping_by_a_function_is_stable(damping, load):
+    """Steps of 1 ms are unstable above 2000 N s/m, beside a second mass that is not damped."""
+    model, joint = pin.Model(), 0
+    for k in range(2):
+        joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"mass {k}")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    unbounded(model)
+    gains = np.array([damping, 0.0])
+    scene = Scene(model, control=lambda t, q, v: load - gains * v)
+    run = simulate(scene, [0.0, 0.0], [1.0, 1.0], 0.2, scheme="time-stepping", dt=1e-3)
+    slow = load / damping
+    way = slow * 0.2 + (1.0 - slow) * -np.expm1(-damping * 0.2) / damping
+    assert run.q[-1] == pytest.approx([way, 0.2 + 0.02 * load], abs=2.5e-4)
+    assert run.v[-1] == pytest.approx([slow, 1.0 + 0.2 * load], abs=1e-3)
+
+
+def test_control_that_jumps_is_not_taken_for_stiff_damping():
+    """Halving its steps would not change it; v alternates about zero after 0.1 s."""
+    model, calls = slider(), []
+
+    def brake(t, q, v):
+        calls.append(t)
+        return -10.0 * np.sign(v)
+
+    run = simulate(Scene(model, control=brake), [0.0], [1.0], 0.2, scheme="time-stepping", dt=1e-3)
+    assert run.q[-1] == pytest.approx(0.05, abs=2e-3)
+    assert len(calls) < 200 * 12
+
+
 def test_dry_friction_holds_joint_up_to_its_bound():
     for torque, holds in ((0.9, True), (1.1, False)):
         model = pendulum()

@@ -37,6 +37,7 @@ from .joint_charts import displaced
 from .rest import Rest
 from .step_taken import Near, Removal, StepTaken
 from .step_uniqueness import step_tolerances
+from .stiffness import Stiffness
 from .switched_off import limit_restitution, locked_joints
 
 FAILED = 0.1
@@ -44,7 +45,7 @@ FAILED = 0.1
 
 WHOLE, CUT, MISSED, PASSED = range(4)
 """Outcome of a step: accepted to its end; accepted up to an impact or event in it; rejected, as a gap that
-closes by extrapolation is open there; rejected, as solids may pass through each other between midpoints."""
+closes by extrapolation is open there; rejected, as solids may pass each other or the control is unstable."""
 
 MOST_REMOVALS = 10
 """Largest number of displacements that remove overlap at the end of a step; the rest is left to the next."""
@@ -61,8 +62,7 @@ class TimeStepping(Integrator):
     _faces: FacingShapes
 
     def _prepare(self) -> None:
-        self._dt = self.options.dt
-        self.max_step = min(self.max_step, self._dt)
+        self._dt, self.max_step = self.options.dt, min(self.max_step, self.options.dt)
         self.shapes.clear()  # the contacts reserved for pairs of shapes hold patches instead
         self._prepare_steps()
         self.work.sliding_friction[:] = 0.0
@@ -77,8 +77,7 @@ class TimeStepping(Integrator):
             self._rest.restart()
             self._faces.clear()
             return
-        self._prepared = True
-        self._touching, self._still = step_tolerances(work, self.extent)
+        self._prepared, (self._touching, self._still) = True, step_tolerances(work, self.extent)
         self._rest, self._widest = Rest(model, work, state), widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
@@ -91,7 +90,7 @@ class TimeStepping(Integrator):
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [limit_restitution(scene) == 0.0] * len(self.dynamics.limits)
         self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
-        self._restitution = np.zeros(len(alike))
+        self._restitution, self._stiffness = np.zeros(len(alike)), Stiffness()
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
@@ -125,12 +124,12 @@ class TimeStepping(Integrator):
         state = self.state
         if self.record.keeps_steps:  # derivatives need the steps of bodies at rest too
             self._rest.wake_all()
-        # without user events, one long step suffices while everything is at rest
-        longest = math.inf if self._rest.complete and not self.events else self._dt
+        longest = math.inf if self._rest.complete and not self.events else self._dt  # if all is at rest
         left, struck = min(longest, stop - state.t), 0
         negligible = HALF_DIGITS * min(left, self._dt)
         if stop - state.t - left < negligible:
             left = stop - state.t
+        self._stiffness.restart()
         begin, end = state.t, state.t + left
         ends = [end]
         while ends and self.state.ended_by is None:
@@ -174,6 +173,9 @@ class TimeStepping(Integrator):
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
+        if may_be_halved and self._stiffness.rejects(float(found.stiffness[0]), h):
+            state.pushed, state.step_before = before
+            return PASSED
         step, axes = self._dense_step(t, h, v, (system, rows, found))
         step.end = t + share * h
         self.instant.rims.check_step(rows, found, step)
@@ -195,8 +197,7 @@ class TimeStepping(Integrator):
             if interruption is not None:
                 self._interrupt(step, interruption)
                 return CUT
-        state.works = step.work_at(step.end)
-        state.impact_energy += lost
+        state.works, state.impact_energy = step.work_at(step.end), state.impact_energy + lost
         state.t, (state.q, _), v_end = step.end, step.at(step.end), np.empty(len(v))
         velocity_within(self.work.joint_charts, h, share, state.v, found.v_end, v_end)
         state.v = v_end

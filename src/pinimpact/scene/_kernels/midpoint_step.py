@@ -11,9 +11,10 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, rates
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric
-from ..._numeric.tolerances import SETTLED, SOFTEST
+from ..._numeric.tolerances import NOISE, SETTLED, SOFTEST
 from ...geometry._kernels.constants import RADIUS
 from .dynamics import (
+    CONTROL,
     FAR,
     compute_kinematics,
     contact_gap,
@@ -363,6 +364,30 @@ def evaluate_both_sides(work, t, q, v, found, first, control):
     return True
 
 
+@inlined
+def rate_of_change(system, v, mean, first, second):
+    """Return the change of acceleration (nv,) from `first` to `second` over that of velocity [1/s].
+
+    It is that of the tree in which it is largest, in the norm of M: for a symmetric ∂f/∂v it is at most the
+    largest eigenvalue of M⁻¹ ∂f/∂v. Changes of velocity that are rounding errors are left out.
+    """
+    nv, largest = len(v), 0.0
+    changed = moved = size = 0.0
+    for c in range(nv):
+        if system.start[c] == c:
+            changed = moved = size = 0.0
+        for d in range(system.start[c], nv):
+            if system.tree[d] != system.tree[c]:
+                break
+            changed += system.mass[c, d] * (second[c] - first[c]) * (second[d] - first[d])
+            moved += system.mass[c, d] * (mean[c] - v[c]) * (mean[d] - v[d])
+            size += system.mass[c, d] * mean[c] * mean[d]
+        last = c + 1 == nv or system.tree[c + 1] != system.tree[c]
+        if last and moved > NOISE * NOISE * size:
+            largest = max(largest, changed / moved)
+    return math.sqrt(largest)
+
+
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, bool),
     *(StepSystem, StepRows, FLOATS, FLOATS, StepResult),
@@ -432,6 +457,8 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     assign(found.foreseen, predicted)
     if not evaluate_in_still_axes(work, t, q, mean):
         return 0.0, 1.0, 0.0, 0.0
+    if work.calls[CONTROL] != 0:
+        found.stiffness[0] = h * rate_of_change(system, v, mean, first, work.acceleration)
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)
     problem, active = contact_problem(work, h, system, rows, found, slow, free)

@@ -52,7 +52,7 @@ class StepRows(NamedTuple):
         items = len(self.contacts) + len(self.limits)
         (fast, arrives), gaps = np.empty((2, items), dtype=bool), np.empty(items)
         bent, (course, tried_course) = np.empty(1, dtype=bool), np.empty((2, 2, iterations, len(impulse)))
-        own = struck, foreseen, np.empty(len(impulse)), tried_course
+        own = struck, foreseen, np.empty(len(impulse)), tried_course, np.zeros(1)
         return StepResult(impulse, u_start, u_end, fast, arrives, predicted, v_end, gaps, bent, course, *own)
 
     @property
@@ -116,6 +116,7 @@ class StepResult(NamedTuple):
         struck: (nv,) velocities of islands with impacts in this step, whose contact problem is solved twice.
         foreseen: (nv,) `predicted` of the first contact problem.
         tried, tried_course: Impulses and iterations of the first one, if any island is struck.
+        stiffness: (1,) step size times the rate at which a control that is a function changes v̇ with v.
     """
 
     impulse: Floats
@@ -132,6 +133,7 @@ class StepResult(NamedTuple):
     foreseen: Floats
     tried: Floats
     tried_course: FloatStack
+    stiffness: Floats
 
     def kept(self) -> StepResult:
         """Return a copy of the velocities, with the other fields, and only the iterations that were taken."""

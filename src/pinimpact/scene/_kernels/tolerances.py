@@ -147,3 +147,7 @@ for the event itself."""
 STEPS_DRIFT = 1e-2
 """Change of a closed gap, relative to the change of the state, that is attributed to constraint drift, which
 is of the order of h ω."""
+
+STEPS_STABLE = 2.0
+"""Largest `stiffness` of a time step: the explicit midpoint multiplies a velocity that a control damps by
+1 + z + z²/2, which grows for z = −`stiffness` < −2."""
