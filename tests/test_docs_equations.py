@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 from pinimpact._numeric import coulomb_problem
-from pinimpact.scene import crowds, instant, integrator, jam_growth, progress, scene_impacts
+from pinimpact.contact_space import jam_growth
+from pinimpact.contact_space._kernels import tolerances as many
+from pinimpact.scene import crowds, instant, integrator, progress, scene_impacts
 from pinimpact.scene._kernels import contact_modes, slip, tolerances
 from tools import pages
 
@@ -131,8 +133,8 @@ NUMBERS = [
     (crowds.FEW, 8, "is used for at most 8 contacts and not for impacts without collision"),
     (crowds.ISLANDS, 5, "of more than five islands touch"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
-    (tolerances.NUDGE, 2.0**-26, r"\max\bigl(2^{-26}\,|v_t|"),
-    (tolerances.LEAST_NUDGE, 0.1 * 2.0**-26, r"\tfrac1{10}2^{-26}\max|v_t|"),
+    (many.NUDGE, 2.0**-26, r"\max\bigl(2^{-26}\,|v_t|"),
+    (many.LEAST_NUDGE, 0.1 * 2.0**-26, r"\tfrac1{10}2^{-26}\max|v_t|"),
     (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
     (jam_growth.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
     (progress.GAINED, 10.0, r"$10\,(\mathrm{rtol} + \mathrm{atol}/|v|)$ of the kinetic energy"),

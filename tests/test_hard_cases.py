@@ -156,6 +156,27 @@ def test_5_slow_approach_without_jam(approach, law):
     assert solution.impulse[2] == pytest.approx(1.5 * approach / rate, rel=1e-10)
 
 
+@pytest.mark.parametrize("approach", [0.0, 1e-300, 1e-12])
+@pytest.mark.parametrize("shared", [0.0, 0.3, 0.5], ids=["uncoupled", "coupled", "listed twice"])
+def test_5_jam_at_two_contacts_with_equal_impulses(shared, approach):
+    """By symmetry both move as one contact whose Delassus matrix is the sum of a row's blocks."""
+    one = solve(JAMS, [1.0, 0.5, -approach], 1.5, 0.5, "energetic")
+    delassus = np.kron([[1.0 - shared, shared], [shared, 1.0 - shared]], JAMS)
+    velocity = np.tile([1.0, 0.5, -approach], (2, 1))
+    both = solve_impact(
+        ImpactProblem(delassus, velocity, friction=1.5, restitution=0.5, law="energetic", stiffness=0.5)
+    )
+    assert both.velocity == pytest.approx(np.tile(one.velocity, (2, 1)), abs=1e-7)  # the initial approach
+    assert np.linalg.norm(one.velocity - velocity[0]) > 0.5
+
+
+def test_5_touching_without_jam_at_two_contacts_is_no_impact():
+    delassus, velocity = np.kron(np.eye(2), JAMS), np.tile([-1.0, 0.5, 0.0], (2, 1))
+    both = solve_impact(ImpactProblem(delassus, velocity, friction=1.5, restitution=0.5, law="energetic"))
+    assert np.array_equal(both.velocity, velocity)
+    assert not both.impulse.any()
+
+
 def test_5_touching_without_jam_is_no_impact():
     assert solve(JAMS, [-1.0, 0.5, 0.0], 1.5).status == Status.NO_IMPACT
 

@@ -11,9 +11,9 @@ from scipy.linalg import block_diag
 from scipy.optimize import brentq
 
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
+from pinimpact.contact_space.jam_growth import growing_indentations
 from pinimpact.geometry.surfaces import contact_axes
 from pinimpact.scene.integrator import Integrator
-from pinimpact.scene.jam_growth import growing_indentations
 from pinimpact.scene.options import Options
 
 from .random_scenes import draw, relative_energy_residual

@@ -22,6 +22,10 @@ HALF_DIGITS = 2.0**-26
 
 # ---- pivots
 
+UNDETERMINED = 1e-9
+"""Acceleration or inverse inertia, relative to the sum of its terms, that is taken as zero where forces are
+not unique: the condition of the load sharing amplifies rounding errors. (11.10)"""
+
 RANK = 1e-10
 """Pivot or singular value, relative to the largest, that is taken as zero. For Newton's equations at a
 solution, whose entries are accurate to rounding, it is `COMPUTED`."""

@@ -17,6 +17,7 @@ from ..errors import BoundReachedWarning
 from ._kernels.tolerances import BY_STEPS, MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
+from .jam_growth import from_rest
 from .laws import law_code
 from .many_inputs import ManyInputs, coupled_groups, many_inputs, solution_of
 from .many_solution import ManySolution, Run
@@ -210,7 +211,7 @@ def without_end(count: int, last: Sequence[str]) -> str:
 POLICIES: Mapping[str, Policy] = MappingProxyType(
     {
         "propagate": Policy(
-            by_groups(each_once(propagate_waves)),
+            by_groups(from_rest(each_once(propagate_waves))),
             kernels_of_waves,
             "the LZB model: impulses propagate through stiff contacts on an internal clock, with "
             "the energetic law; unique, symmetric, creates no energy; depends on ratios of "

@@ -14,6 +14,8 @@ import pinocchio as pin
 
 from .._numeric.tolerances import TINY
 from ..arrays import Array, Bools, Integers
+from ..contact_space._kernels.tolerances import NUDGE
+from ..contact_space.jam_growth import friction_of_jam, growing_indentations, nudged
 from ..contact_space.many_inputs import rows_of
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
@@ -32,12 +34,11 @@ from ..robot.pinocchio_bridge import kinetic_energy
 from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact, impact_in_steps
 from ._kernels.contact_forces import FREE, SLIP
-from ._kernels.tolerances import LEAST_NUDGE, NEGLIGIBLE, NUDGE, ROUNDING
+from ._kernels.tolerances import NEGLIGIBLE, ROUNDING
 from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
-from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
 from .scene import Scene
 from .switched_off import limit_restitution, locked_joints
@@ -281,11 +282,8 @@ class SceneImpacts:
         )
         if growing is None:
             growing = np.maximum(-push, 0.0) / -push.min()  # in proportion to the loads (13.7)
-        # initial approach relative to the slip of the fastest growing contact, and to the fastest slip (13.2)
-        jamming = int(np.argmax(growing * slips))
-        slow = float(np.hypot(velocity[jamming, 0], velocity[jamming, 1]))
-        nudge = max(NUDGE * slow, LEAST_NUDGE * speed)
-        velocity[:, 2] -= nudge * growing
+        before, velocity = velocity, nudged(velocity, slips, growing)
+        nudge = float((before - velocity)[:, 2].max())
         e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
         numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
         try:

@@ -53,6 +53,12 @@ NEGLIGIBLE = COMPUTED
 zero: rounding of terms of order one, or of velocities and W of a robot. It is also the smallest step size,
 and the friction bound, over the largest, below which friction is neglected."""
 
+NUDGE = HALF_DIGITS
+"""Initial approach speed of contacts that jam, relative to the speed of slip. (13.2)"""
+
+LEAST_NUDGE = 0.1 * NUDGE
+"""Least value of it, relative to the fastest slip."""
+
 SLOW = 1e-10
 """Speed above which a contact is no longer held or sticking, and below which an approach is taken as rest."""
 

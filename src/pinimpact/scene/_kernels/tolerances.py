@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE, SETTLED
+from ..._numeric.tolerances import COMPUTED, HALF_DIGITS, LITTLE, NOISE, SETTLED, UNDETERMINED
 from ..._numeric.tolerances import ROUNDING as ROUNDING
 
 # ---- defaults of options
@@ -15,9 +15,8 @@ DT = 1e-3
 
 # ---- accelerations and forces of the active set
 
-NEGLIGIBLE = 1e-9
-"""Acceleration or inverse inertia, relative to the sum of its terms, that is taken as zero where forces are
-not unique: the condition of the load sharing amplifies rounding errors. (11.10)"""
+NEGLIGIBLE = UNDETERMINED
+"""What is taken as zero where forces are not unique. (11.10)"""
 
 ROUNDED = COMPUTED
 """The same where forces are unique. (11.10)"""
@@ -63,12 +62,6 @@ SINGULAR = HALF_DIGITS
 NEARLY_SINGULAR = 1e-4
 """The same, and s* − 1, where steps make no progress or the singularity has been passed (theory.md, 13.3);
 also the sine of the tilt of a rim that is about to fall flat."""
-
-NUDGE = HALF_DIGITS
-"""Initial approach speed of contacts that jam, relative to the speed of slip. (13.2)"""
-
-LEAST_NUDGE = 0.1 * NUDGE
-"""Least value of it, relative to the fastest slip."""
 
 # ---- steps and their events
 

@@ -4,16 +4,55 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import wraps
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
+from .._numeric.tolerances import UNDETERMINED
 from ..arrays import Array, Bools
-from ..contact_space.many_inputs import rows_of
-from ._kernels.tolerances import NEGLIGIBLE
+from ._kernels.tolerances import LEAST_NUDGE, NUDGE, SLOW
+from .many_inputs import ManyInputs, rows_of
+from .many_solution import ManySolution, Run
 
 MOST_CHOSEN = 12
 """Largest number of contacts of which all subsets are tried."""
+
+
+def nudged(velocity: Array, slips: Bools, growing: Array) -> Array:
+    """Return velocities (n, 3) with the approach at which an impact without collision begins. (13.2)
+
+    Args:
+        velocity: (n, 3) velocities [m/s].
+        slips: (n,) whether each contact slips.
+        growing: (n,) relative indentations.
+    """
+    speed = float(np.abs(velocity).max(initial=0.0))
+    fastest = velocity[int(np.argmax(growing * slips))]
+    approach = max(NUDGE * math.hypot(fastest[0], fastest[1]), LEAST_NUDGE * speed)
+    return np.column_stack([velocity[:, :2], velocity[:, 2] - approach * growing])
+
+
+def from_rest(run: Run) -> Run:
+    """Return a policy that resolves an impact without collision if no contact approaches and slip jams."""
+
+    @wraps(run)
+    def run_nudged(inputs: ManyInputs, record: bool, **options: Any) -> ManySolution:
+        velocity, friction = inputs.velocity, inputs.friction
+        rest = SLOW * float(np.abs(velocity).max(initial=0.0))
+        at = np.flatnonzero(np.abs(velocity[:, 2]) <= rest)
+        slips = (np.hypot(velocity[at, 0], velocity[at, 1]) > rest) & (friction[at] > 0.0)
+        if velocity[:, 2].min() >= -rest and slips.any():
+            rows = rows_of(at)
+            of_part = inputs.delassus[np.ix_(rows, rows)], velocity[at], friction[at], slips
+            growing = growing_indentations(*of_part, inputs.stiffness[at])
+            if growing is not None:
+                velocity = velocity.copy()
+                velocity[at] = nudged(velocity[at], slips, growing)
+        return run(inputs._replace(velocity=velocity), record, **options)
+
+    return run_nudged
 
 
 def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: Bools) -> float:
@@ -28,13 +67,13 @@ def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: Bo
     rows, along = _slipping_rows(velocity, friction, slips)
     of_rows = delassus[rows]
     weights, basis = np.linalg.eigh(of_rows[:, rows])
-    known = weights > NEGLIGIBLE * weights[-1]
+    known = weights > UNDETERMINED * weights[-1]
     basis = basis[:, known] / np.sqrt(weights[known])
     # det(1 − s C) = 0
     inverses = np.linalg.eigvals(basis.T @ of_rows @ along @ basis)
-    real = inverses.real[np.abs(inverses.imag) <= NEGLIGIBLE * np.abs(inverses).max()]
+    real = inverses.real[np.abs(inverses.imag) <= UNDETERMINED * np.abs(inverses).max()]
     largest = float(real.max(initial=0.0))
-    return max(1.0, (1.0 + NEGLIGIBLE) / largest) if largest > 0.0 else math.inf
+    return max(1.0, (1.0 + UNDETERMINED) / largest) if largest > 0.0 else math.inf
 
 
 def growing_indentations(
@@ -55,8 +94,8 @@ def growing_indentations(
             forces, rates = grown
             others = np.delete(rates, some)
             if (
-                forces.min() >= -NEGLIGIBLE * forces.max()
-                and others.min(initial=0.0) >= -NEGLIGIBLE * np.abs(rates).max()
+                forces.min() >= -UNDETERMINED * forces.max()
+                and others.min(initial=0.0) >= -UNDETERMINED * np.abs(rates).max()
             ):
                 return _indentations(some, forces, stiffness)
     return None
@@ -83,14 +122,14 @@ def _fastest_growth(
     held = system[np.ix_(~normal, ~normal)]
     answer = np.zeros((int((~normal).sum()), len(active)))  # tangential forces of the sticking contacts
     if held.size:
-        answer = -np.linalg.pinv(held, rcond=NEGLIGIBLE, hermitian=True) @ system[np.ix_(~normal, normal)]
+        answer = -np.linalg.pinv(held, rcond=UNDETERMINED, hermitian=True) @ system[np.ix_(~normal, normal)]
     pressed = system[np.ix_(normal, normal)] + system[np.ix_(normal, ~normal)] @ answer
     values, vectors = np.linalg.eig(stiffness[active, None] * pressed)
     size = float(np.abs(values).max())
-    real = np.abs(values.imag) <= NEGLIGIBLE * size
+    real = np.abs(values.imag) <= UNDETERMINED * size
     rates = np.where(real, values.real, np.inf)
     fastest = int(np.argmin(rates))
-    if not rates[fastest] < 0.1 * NEGLIGIBLE * size:
+    if not rates[fastest] < 0.1 * UNDETERMINED * size:
         return None
     forces = vectors[:, fastest].real
     forces /= forces[np.argmax(np.abs(forces))]
