@@ -492,3 +492,29 @@ def test_box_that_slides_over_an_edge_does_not_depend_on_a_fast_shaft(turn):
     assert found[0][9] < 0.12  # it has tipped over the edge
     assert found[1] == pytest.approx(found[0], abs=1e-9)
     assert found[2] == pytest.approx(found[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.8])
+@pytest.mark.parametrize("offset", [0.0, 0.4, -0.7])
+def test_balls_that_slide_without_friction_collide_where_they_meet(restitution, offset):
+    """On the floor their accelerations are rounding errors, which bounded the time of contact by zero."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    radius, apart = 0.0286, 0.3
+    for name in "ab":
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(0.17, radius), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        solid = pin.GeometryObject(name, joint, pin.SE3.Identity(), coal.Sphere(radius))
+        shapes.addGeometryObject(solid)
+    contacts = [Contact(geometry=name, plane=Plane()) for name in "ab"]
+    contacts.append(Contact(geometry="a", plane=Shape("b"), restitution=restitution))
+    q, v = pin.neutral(model), np.zeros(12)
+    q[2] = q[9] = radius
+    q[7:9], v[0] = (apart, offset * 2.0 * radius), 2.0
+    run = simulate(Scene(model, contacts, geometry=shapes), q, v, 0.3, scheme="event-driven")
+    normal = np.array([np.sqrt(1.0 - offset**2), offset])
+    first = run.impacts[0]
+    assert first.time == pytest.approx((apart - 2.0 * radius * normal[0]) / 2.0, abs=1e-12)
+    after = 0.5 * (1.0 + restitution) * 2.0 * normal[0] * normal
+    assert run.v[-1][6:8] == pytest.approx(after, abs=1e-9)
+    assert run.v[-1][:2] == pytest.approx([2.0, 0.0] - after, abs=1e-9)

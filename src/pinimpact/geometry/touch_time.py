@@ -274,7 +274,9 @@ def _step(now: Front, left: float, floor: float) -> float:
     longest = min(left, now.until)
     if now.bend > 0.0:  # upper limit: the time at which the bound of the two extreme vertices is zero
         rate = float(now.rates_a[first] - now.rates_b[other])
-        longest = min(longest, (rate + math.sqrt(rate * rate + 2.0 * now.bend * gap_now)) / now.bend)
+        root = math.sqrt(rate * rate + 2.0 * now.bend * gap_now)
+        # without cancellation: accelerations of bodies that slide freely are rounding errors
+        longest = min(longest, (rate + root) / now.bend if rate >= 0.0 else 2.0 * gap_now / (root - rate))
 
     def bound(h: float) -> float:
         lower = (now.heights_a + h * now.rates_a).min() - (now.heights_b + h * now.rates_b).max()
