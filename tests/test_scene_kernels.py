@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
 from pinimpact.geometry._kernels import surfaces
 from pinimpact.geometry._kernels.constants import RADIUS
+from pinimpact.geometry.tolerances import SAFETY
 from pinimpact.robot._kernels import contact_motion
 from pinimpact.scene._kernels import active_set, gap_bounds, lie_charts
-from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics
 from pinimpact.scene.joint_charts import joint_table
 

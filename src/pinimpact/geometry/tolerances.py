@@ -43,5 +43,8 @@ SAME_DIRECTION = 1.0 - 4.0 * EPS
 NOT_CONVEX = LITTLE
 """Depth of a vertex of a mesh inside its hull from which on the mesh is not convex."""
 
+SAFETY = 1.5
+"""Factor on bounds and curvatures that follow from samples of a motion within a step. (theory.md, 10)"""
+
 FAR = 0.1
 """Gap beyond which the normal need not follow the extreme features."""

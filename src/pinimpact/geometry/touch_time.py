@@ -30,14 +30,14 @@ from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape, cross
-from .tolerances import COINCIDE, FAR
+from .tolerances import COINCIDE, FAR, SAFETY
 
 MAX_ADVANCES = 20_000
 """Largest number of advances of a pair; one that separates at a thousandth of the acceleration bound needs
 some thousands."""
 
-SAMPLES, SAFETY = 8, 1.5
-"""Number of samples of a step for its largest accelerations and their rates, and a safety factor."""
+SAMPLES = 8
+"""Number of samples of a step for its largest accelerations and their rates."""
 
 
 class PairState(NamedTuple):

@@ -220,7 +220,7 @@ class FacingShapes:
 
     def may_pass(self, q: Array, v: Array, h: float) -> bool:
         """Return whether solids may pass through each other in a step (h) with midpoint q and velocity v."""
-        return len(self._solids[0]) > 0 and may_pass(self._work, q, v, h, *self._solids, self._rests)
+        return len(self._solids[0]) > 0 and may_pass(self._work, q, v, h, *self._solids)
 
     def corners(self) -> dict[int, Corner]:
         """Return the corners that the last `place` assigned, by number of the contact."""

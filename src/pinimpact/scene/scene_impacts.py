@@ -281,6 +281,8 @@ class SceneImpacts:
             matrices.delassus, velocity, friction, slips, _stiffness(every, matrices.delassus)
         )
         if growing is None:
+            if slack > 0.0:
+                return None
             growing = np.maximum(-push, 0.0) / -push.min()  # in proportion to the loads (13.7)
         before, velocity = velocity, nudged(velocity, slips, growing)
         nudge = float((before - velocity)[:, 2].max())

@@ -18,10 +18,9 @@ from ..arrays import Array
 from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import cross
-from ..geometry.tolerances import CLOSE, COINCIDE
+from ..geometry.tolerances import CLOSE, COINCIDE, SAFETY
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
-from ._kernels.events.gap import SAFETY
 from .dense_step import DenseStep
 from .event_watch import crossing
 from .touching_points import Placed, TouchingPoints, Watched

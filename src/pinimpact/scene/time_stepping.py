@@ -43,9 +43,9 @@ from .switched_off import limit_restitution, locked_joints
 FAILED = 0.1
 """Largest acceptable residual of a contact problem, relative to its velocities."""
 
-WHOLE, CUT, MISSED, PASSED = range(4)
-"""Outcome of a step: accepted to its end; accepted up to an impact or event in it; rejected, as a gap that
-closes by extrapolation is open there; rejected, as solids may pass each other or the control is unstable."""
+WHOLE, CUT, PASSED = range(3)
+"""Outcome of a step: accepted to its end; accepted up to an impact or event in it; rejected, as solids may
+pass through each other between midpoints or the control is unstable."""
 
 MOST_REMOVALS = 10
 """Largest number of displacements that remove overlap at the end of a step; the rest is left to the next."""
@@ -137,8 +137,8 @@ class TimeStepping(Integrator):
                 begin = ends.pop()
                 continue
             outcome = self._take_step(ends[-1] - state.t, struck < MOST_IMPACTS and not self._left)
-            struck += outcome in (CUT, MISSED)
-            if outcome in (MISSED, PASSED):  # bisect the original step: its times do not depend on the motion
+            struck += outcome == CUT
+            if outcome == PASSED:  # bisect the original step: its times do not depend on the motion
                 while (middle := 0.5 * (begin + ends[-1])) <= state.t:
                     begin = middle
                 ends.append(middle)
@@ -158,7 +158,7 @@ class TimeStepping(Integrator):
             strikes: Whether contacts that close fast are impacts; else they close without restitution.
 
         Returns:
-            `WHOLE` or `CUT` if the step is accepted, `MISSED` or `PASSED` if it is rejected.
+            `WHOLE` or `CUT` if the step is accepted, `PASSED` if it is rejected.
         """
         state, before = self.state, (self.state.pushed, self.state.step_before)
         middle, v = displaced(self.work.joint_charts, state.q, state.v, 0.5 * h * state.v)
@@ -187,9 +187,6 @@ class TimeStepping(Integrator):
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals]
             slowest, fastest = 0.5 * float(rates[closing].min()), float(rates[closing].max())
             soon = STEPS_TOGETHER * h
-            if may_be_halved and not self._collides_at(*step.at(step.end), slowest, soon, fastest):
-                state.pushed, state.step_before = before
-                return MISSED
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
         self.record.dense_steps.append(step)
         if self.events:
@@ -462,12 +459,6 @@ class TimeStepping(Integrator):
         return potential_energy(self.model, self.data, q) + kinetic_energy(self.model, self.data, q, v)
 
     # ---- impacts
-
-    def _collides_at(self, q: Array, v: Array, slowest: float, soon: float, fastest: float) -> bool:
-        """Return whether any contact or limit collides in a state; see `_collide` for the arguments."""
-        self._faces.place(q, v, 0.0, touching=max(self._touching, soon * fastest))
-        rates = self.instant.approach(q, v, self._touching, soon)
-        return bool((rates < -max(self.work.resting_speed, slowest)).any())
 
     def _collide(
         self,

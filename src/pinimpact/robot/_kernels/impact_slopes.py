@@ -8,6 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.elimination import largest_of
 from ..._numeric.loops import filled
 from ..._numeric.tolerances import EPS
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, SLIP_RESUMED, STICKS
@@ -108,16 +109,6 @@ def by(slope, change):
     return slope * change if change != 0.0 else 0.0
 
 
-@inlined
-def largest_of_rows(rows):
-    """Return the largest magnitude in an array of two dimensions."""
-    largest = 0.0
-    for a in range(rows.shape[0]):
-        for b in range(rows.shape[1]):
-            largest = max(largest, abs(rows[a, b]))
-    return largest
-
-
 @declared(FLOAT_ROWS, FLOATS, float, float, bool, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def fill_kinks(delassus, velocity, still, friction, stops, data, kinks):
@@ -154,7 +145,7 @@ def fill_kinks(delassus, velocity, still, friction, stops, data, kinks):
             return
     elif math.hypot(v1, v2) > still:
         return
-    speed, size = largest_of_rows(data[:3]), largest_of_rows(data[3:])
+    speed, size = largest_of(data[:3].ravel(), 0), largest_of(data[3:].ravel(), 0)
     across_v, across_b = n2 * v1 - n1 * v2, n2 * delassus[0, 2] - n1 * delassus[1, 2]
     for k in range(kinks.shape[1]):
         slip, pull = n1 * data[0, k] + n2 * data[1, k], n1 * data[5, k] + n2 * data[7, k]

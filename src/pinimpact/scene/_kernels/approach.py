@@ -56,7 +56,7 @@ def fastest_approach(work, q, v, starting, parting, where, slow):
         if rate > parting:
             where[i] = APART
         elif where[i] == APART and (gap <= near or modes[i] != FREE):
-            where[i] = ARRIVING if starting and gap <= near else TOUCHING
+            where[i] = ARRIVING if starting else TOUCHING
         if where[i] == APART and gap <= together and rate < -work.least_approach:
             where[i] = ARRIVING
         if where[i] == APART:

@@ -174,15 +174,13 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
 
 @inlined
 def clear(work, chosen):
-    """Clear a `Choice`, except for contacts rejected with `SEPARATES` or `RUBS`."""
+    """Clear a `Choice`, except for rejected contacts."""
     modes, reference, breaking, rejected = chosen
     filled(modes, FREE)
     for i in range(len(reference)):
         reference[i, 0] = reference[i, 1] = 0.0
     for j in range(len(breaking)):
         breaking[j], rejected[work.contacts + work.limits + j] = 0.0, 0
-    for i in range(work.contacts):
-        rejected[i] = 0 if rejected[i] == KEEPS_SLIDING else rejected[i]
 
 
 @inlined

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.tolerances import EPS, LITTLE
+from ...geometry.tolerances import SAFETY
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 from .slip import set_directions_within
@@ -31,9 +32,9 @@ LOWEST = 10.0
 SHORTEST = 1.5 * 0.5**DEPTH
 """Shortest interval, relative to the initial ones, that is halved."""
 
-BULGE = 1.5 / 8.0
-"""Largest fall below the chord between samples, relative to their second difference: 1.5 times that of a
-parabola."""
+BULGE = SAFETY / 8.0
+"""Largest fall below the chord between samples, relative to their second difference: that of a parabola with
+`SAFETY` times the curvature."""
 
 FADING = 1.0 / 16.0
 """Least ratio of the fall in a half to that in the whole interval: a quarter of the curvature is assumed."""
@@ -179,7 +180,7 @@ def search_for_fall(value):
                 value_then, bulge = later_value[depth], bulges[depth]
                 part = later[depth] - time
                 middle = time + 0.5 * part
-                splits = part > SHORTEST * width and depth < DEPTH and time < middle < later[depth]
+                splits = part > SHORTEST * width and time < middle < later[depth]  # so depth < DEPTH
                 if value_then < -floor:
                     if value_now > 0.0:
                         return root(work, i, time, later[depth], value_now, value_then)

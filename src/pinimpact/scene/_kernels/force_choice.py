@@ -28,7 +28,8 @@ def choose_forces(work, t, out):
     if work.forces_unique:
         return
     if not slips_with_friction(work):
-        make_admissible(work, t, out)
+        if work.force_margin < 0.0 and widest_margin(work, work.inner_forces) > 0.0:
+            evaluate(work, t, out)
         return
     if work.force_margin >= 0.0 and opposes_slip(work, out):
         return
@@ -36,13 +37,6 @@ def choose_forces(work, t, out):
     evaluate(work, t, out)
     if work.force_margin >= -doubtful_margin(work) and opposes_slip(work, out):
         return
-    for found in range(2):
-        filled(work.inner_forces, 0.0)
-        if found == 1:
-            use_found_forces(work)
-        evaluate(work, t, out)
-        if make_admissible(work, t, out) and opposes_slip(work, out):
-            return
     filled(work.inner_forces, 0.0)
     evaluate(work, t, out)
 
@@ -57,16 +51,6 @@ def doubtful_margin(work):
     for negligible in work.row_tolerance:
         tolerance = max(tolerance, negligible)
     return 2.0 * tolerance + DOUBTFUL * largest_force
-
-
-@inlined
-def make_admissible(work, t, out):
-    """Replace forces that violate bounds by others with the same motion; return whether there are any."""
-    if work.force_margin < 0.0:
-        if not widest_margin(work, work.inner_forces) > 0.0:
-            return False
-        evaluate(work, t, out)
-    return True
 
 
 @inlined

@@ -16,14 +16,14 @@ from .workspace import SceneWorkspace
 
 @declared(SceneWorkspace, float, FLOATS, FLOATS, bool, float)
 @jit
-def forces_unbounded(work, t, q, v, without_forces, singular):
+def forces_unbounded(work, t, q, v, leaving, singular):
     """Return whether the forces of slipping contacts are unbounded at a state. (13.3)
 
     Args:
         work: The workspace.
         t, q, v: Time [s] and state.
-        without_forces: Whether no forces were found for the modes, or they have just left their bounds. If
-            the determinant of (9.3) has also changed its sign, the forces are unbounded.
+        leaving: Whether the forces have just left their bounds. If the determinant of (9.3) has also changed
+            its sign, the forces are unbounded.
         singular: Residual of the cancelling effects on the normals, relative to the largest one, below which
             the forces are unbounded.
     """
@@ -54,5 +54,5 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
             total += part
             largest_term = max(largest_term, abs(part))
         net_effect = max(net_effect, abs(total))
-    impossible = without_forces and work.force_margin == -math.inf
+    impossible = leaving and work.force_margin == -math.inf
     return impossible or net_effect < singular * largest_term

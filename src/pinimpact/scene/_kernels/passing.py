@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import jit
 from ...robot._kernels.placement import cross, place, rotate
 from .dynamics import compute_kinematics, set_state
@@ -17,9 +17,9 @@ REACH, ARM, THICKNESS, SOLID_NUMBERS = 3, 4, 5, 6
 for a ball, whose surface does not move when it turns; half its least thickness [m]."""
 
 
-@declared(SceneWorkspace, FLOATS, FLOATS, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLAGS, result=bool)
+@declared(SceneWorkspace, FLOATS, FLOATS, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, result=bool)
 @jit
-def may_pass(work, q, v, h, joints, solids, pairs, rests):
+def may_pass(work, q, v, h, joints, solids, pairs):
     """Return whether two near solids may move by more than their half thicknesses in half a step.
 
     Args:
@@ -29,7 +29,6 @@ def may_pass(work, q, v, h, joints, solids, pairs, rests):
         joints: (k,) joints that carry the solids.
         solids: (k, `SOLID_NUMBERS`) see `REACH`.
         pairs: (p, 2) indices of the solids of each pair.
-        rests: (nj,) joints that are at rest.
     """
     set_state(work, q, v)
     compute_kinematics(work)
@@ -49,7 +48,7 @@ def may_pass(work, q, v, h, joints, solids, pairs, rests):
     for p in range(len(pairs)):
         a, b = pairs[p, 0], pairs[p, 1]
         thickness = solids[a, THICKNESS] + solids[b, THICKNESS]
-        if 0.5 * h * (speeds[a] + speeds[b]) <= thickness or (rests[joints[a]] and rests[joints[b]]):
+        if 0.5 * h * (speeds[a] + speeds[b]) <= thickness:
             continue
         square, rate = 0.0, 0.0
         for e in range(3):

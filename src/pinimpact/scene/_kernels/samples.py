@@ -7,10 +7,8 @@ zero between them; otherwise its roots are searched along the dense output.
 from __future__ import annotations
 
 from ..._compile.jit import inlined
+from ...geometry.tolerances import SAFETY
 from .contact_forces import SLIP
-
-SAFETY = 1.5
-"""Factor on the curvature that the samples show."""
 
 
 @inlined

@@ -6,10 +6,10 @@ import math
 
 from ...._compile.declared import declared
 from ...._compile.jit import external, inlined
+from ....geometry.tolerances import SAFETY
 from ..event_location import search_for_fall
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
-from .gap import SAFETY
 
 CONSEQUENCE = MODE_CHANGE
 

@@ -8,6 +8,7 @@ from ...._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ...._compile.jit import external, inlined
 from ....geometry._kernels import surfaces
 from ....geometry._kernels.constants import RADIUS, RIM
+from ....geometry.tolerances import SAFETY
 from ....robot._kernels import contact_motion
 from ..contact_forces import FREE
 from ..dynamics import compute_kinematics, contact_gap, set_signs, set_state
@@ -18,9 +19,6 @@ from ..workspace import SceneWorkspace
 from .consequences import ARRIVAL
 
 CONSEQUENCE = ARRIVAL
-
-SAFETY = 1.5
-"""Factor on the bounds of a motion, which are samples at the stages of the step. (theory.md, 10)"""
 
 CLEAR = -1.0
 """Value of `gap_bounds[i, 0]` for a gap that provably does not close."""

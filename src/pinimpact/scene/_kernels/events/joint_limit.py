@@ -6,11 +6,11 @@ import math
 
 from ...._compile.declared import declared
 from ...._compile.jit import external, inlined
+from ....geometry.tolerances import SAFETY
 from ..dynamics import limit_gap
 from ..event_location import search_for_closing
 from ..workspace import SceneWorkspace
 from .consequences import ARRIVAL
-from .gap import SAFETY
 
 CONSEQUENCE = ARRIVAL
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from ...._compile.jit import external, inlined
+from ....geometry.tolerances import SAFETY
 from ..drives import law
 from ..event_location import search_for_fall
 from ..tolerances import AT_BOUND
 from .consequences import SIDE_CHANGE
-from .gap import SAFETY
 
 CONSEQUENCE = SIDE_CHANGE
 
