@@ -325,7 +325,7 @@ def test_stretched_leg_with_velocity_error_in_an_impact():
     integrator = Integrator(scene, q, v, Options(1e-6, 1e-8))
     integrator.work.modes[0], integrator.work.certain_speed = STICK, 1e-6
     foot, stop = 0, 1
-    after = integrator.instant._impacts.resolve_group(q, v, stop, [foot, stop]).v
+    after = integrator.instant.impacts.resolve_group(q, v, stop, [foot, stop]).v
 
     data = model.createData()
     jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId("foot"), pin.LOCAL_WORLD_ALIGNED)

@@ -49,3 +49,5 @@ def test_time_steps_replace_modes_with_forces_beyond_their_bounds():
     assert not any("may be wrong" in note.text for note in trajectory.notes)
     assert np.abs(trajectory.v[-1]).max() < 1e-6  # the fingers hold the cube
     assert np.abs(trajectory.energy.residual).max() < 1e-5
+    events = simulate(scene, q, np.zeros(9), 0.04, scheme="event-driven")
+    assert sum("may be wrong" in note.text for note in events.notes) == 1

@@ -198,17 +198,19 @@ def test_slip_of_zero_speed_has_no_derivative():
     assert slopes.saltation.boundary & Boundary.EVENTS_COINCIDE
 
 
+@pytest.mark.parametrize("slip", [0.0, 1e-10])
 @pytest.mark.parametrize("friction", [0.2, 5.0])
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
-def test_vertically_falling_robot_has_derivative_only_if_it_sticks(scheme, friction):
-    # the tangential velocity before the impact is zero up to rounding
+def test_vertically_falling_robot_has_derivative_only_if_it_sticks(scheme, friction, slip):
+    # the tangential velocity before the impact is zero up to rounding, or up to the error of steps
     model, _ = load("solo12")
     q = pin.integrate(
         model, pinimpact.load_robot("solo12").q0, np.array([0, 0, 0.05, 0.3, 0.2, 0.1] + [0.0] * 12)
     )
     foot = Contact(FRAMES["solo12"], Plane(), friction, 0.3, radius=0.016, name="foot")
     q[2] += 0.02 - foot.gap(model, model.createData(), q)
-    run = simulate(Scene(model, [foot], **FREE), q, np.zeros(18), 0.08, scheme=scheme, sensitivities="state")
+    v = slip * np.eye(18)[0]
+    run = simulate(Scene(model, [foot], **FREE), q, v, 0.08, scheme=scheme, sensitivities="state")
     (impact,) = run.impacts
     assert (impact.solution.segments[-1].mode == "stick") == (friction == 5.0)
     found = run.sensitivity(0.08)

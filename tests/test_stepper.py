@@ -537,3 +537,20 @@ def test_copies_in_contact_are_bitwise_equal_under_new_forces(kind):
             stepper.step([-0.1 * k, 0.2 * k, 0.0], 1e-3)
     assert np.array_equal(one.trajectory.q, other.trajectory.q)
     assert np.array_equal(one.trajectory.v, other.trajectory.v)
+
+
+@pytest.mark.parametrize("stop", ["limit", "contact"])
+def test_body_that_is_pushed_back_before_it_separates_stays_at_rest(stop):
+    """Its gap is still that of rounding, so that the contact closes again without an impact."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "z")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    model.gravity.linear[:] = 0.0
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = 0.0 if stop == "limit" else -np.inf, np.inf
+    stepper = Stepper(Scene(model, [Contact("z", Plane())] if stop == "contact" else []), [0.0], [0.0])
+    for push, dt in ((1.0, 1e-9), (-1.0, 1e-3), (2.0, 1e-6), (-3.0, 1e-3)):
+        stepper.step([push], dt)
+    assert stepper.v == [0.0]
+    assert 0.0 <= stepper.q[0] < 1.1e-12  # 2 N for 1 µs
+    assert not stepper.trajectory.impacts

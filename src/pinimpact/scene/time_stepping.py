@@ -433,12 +433,9 @@ class TimeStepping(Integrator):
         """
         state, nv, v = self.state, self.model.nv, self.state.v
         moved, still, start = np.zeros(nv), np.zeros(nv), (state.q, v)
-        for attempt in range(MOST_REMOVALS):
+        for _ in range(MOST_REMOVALS):
             self._faces.place(state.q, state.v, h)
-            unknown = attempt > 0 and not len(self._held)
-            if unknown and not len(self._near_numbers(state.q, still, h, -self._touching, False)):
-                break
-            rows = self._rows(state.q, still, h, depth, unknown)
+            rows = self._rows(state.q, still, h, depth, False)
             depth = overlap_at(self.work, state.q, state.v, rows)
             if depth <= self._touching:
                 break
