@@ -44,9 +44,8 @@ def from_rest(run: Run) -> Run:
         at = np.flatnonzero(np.abs(velocity[:, 2]) <= rest)
         slips = (np.hypot(velocity[at, 0], velocity[at, 1]) > rest) & (friction[at] > 0.0)
         if velocity[:, 2].min() >= -rest and slips.any():
-            rows = rows_of(at)
-            of_part = inputs.delassus[np.ix_(rows, rows)], velocity[at], friction[at], slips
-            growing = growing_indentations(*of_part, inputs.stiffness[at])
+            one = inputs.part(at)
+            growing = growing_indentations(one.delassus, one.velocity, one.friction, slips, one.stiffness)
             if growing is not None:
                 velocity = velocity.copy()
                 velocity[at] = nudged(velocity[at], slips, growing)

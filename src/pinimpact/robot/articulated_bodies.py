@@ -7,16 +7,14 @@ have no correct digit. M and the forces of `rnea` have no such error, and chains
 
 from __future__ import annotations
 
-import weakref
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
+from .once import Known, once
 from .tolerances import LOST_DIGITS
 
-_known: dict[int, tuple[Any, tuple[int, int, int], bool]] = {}
+_known: Known = {}
 
 
 def is_accurate(model: pin.Model) -> bool:
@@ -24,16 +22,10 @@ def is_accurate(model: pin.Model) -> bool:
 
     This is measured once for a model, at a random state, and again if it grows.
     """
-    sizes = model.njoints, model.nq, model.nv
     nested = [j for j in range(1, model.njoints) if model.nvs[j] > 1 and model.parents[j] > 0]
     if len(nested) < 2 or len(model.mimicking_joints) > 0:
         return True
-    known = _known.get(id(model))
-    if known is not None and known[0]() is model and known[1] == sizes:
-        return known[2]
-    forget, key = _known.pop, id(model)
-    _known[key] = weakref.ref(model, lambda _: forget(key, None)), sizes, _measure(model)
-    return _known[key][2]
+    return once(_known, model, _measure)
 
 
 def _measure(model: pin.Model) -> bool:

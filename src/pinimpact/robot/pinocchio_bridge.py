@@ -23,7 +23,6 @@ import contextlib
 import ctypes
 import math
 import warnings
-import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
@@ -39,6 +38,7 @@ from ._kernels.free_bodies import accelerate_bodies, move_bodies
 from .articulated_bodies import eliminate, inverse_of, is_accurate
 from .forest import Forest, crba, data_of, parts_of
 from .names import singular_mass
+from .once import Known, once
 from .tolerances import AGREEMENT
 
 _WORLD = pin.Convention.WORLD
@@ -350,19 +350,14 @@ def _check_joints(model: pin.Model) -> None:
 # ---- the check
 
 
-_verdicts: dict[tuple[int, Any], tuple[Any, tuple[int, int, int], bool]] = {}
+_verdicts: Known = {}
 _warned = False
 
 
 def trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) -> bool:
     """Return whether results can be read in place, checked once for a model and again if it grows."""
     global _warned
-    key, sizes = (id(model), disagreement.__name__), (model.njoints, model.nq, model.nv)
-    known = _verdicts.get(key)
-    if known is not None and known[0]() is model and known[1] == sizes:
-        return known[2]
-    found = disagreement(model)
-    _verdicts[key] = weakref.ref(model, _forget(key)), sizes, found is None
+    found = once(_verdicts, model, disagreement)
     if found is not None and not _warned:
         _warned = True
         warnings.warn(
@@ -389,11 +384,6 @@ def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> floa
         else:
             total += float(pin.computeKineticEnergy(*state, own))
     return total
-
-
-def _forget(key: tuple[int, Any]) -> Any:
-    forget = _verdicts.pop  # bound now: at exit the module may be gone before the model
-    return lambda _: forget(key, None)
 
 
 def probe(model: pin.Model) -> tuple[pin.Model, Array, Array, Array]:

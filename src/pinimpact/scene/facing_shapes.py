@@ -18,11 +18,11 @@ from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
+from ._kernels import passing
 from ._kernels.facing_boxes import BOX, HALF, REACH, FacingBoxes, face_boxes, fill_contact
-from ._kernels.passing import SOLID_NUMBERS, may_pass
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
-from .touching_points import Reserved
+from .touching_points import Reserved, TouchingPoints
 
 
 @dataclass(eq=False)
@@ -57,19 +57,6 @@ class _Spheres(NamedTuple):
     centres: Array
     reach: Array
 
-    @staticmethod
-    def of(pairs: list[ShapePair]) -> _Spheres:
-        """Return the spheres of pairs, one for all shapes at the same place."""
-        known: dict[tuple[int, tuple[float, ...], float], int] = {}
-        sides = np.empty((len(pairs), 2), dtype=np.int64)
-        for p, pair in enumerate(pairs):
-            for k, side in enumerate((pair.a, pair.b)):
-                centre = tuple(side.in_joint.act(side.shape.center).tolist())
-                sides[p, k] = known.setdefault((side.joint, centre, side.shape.reach), len(known))
-        joints = np.array([joint for joint, _, _ in known], dtype=np.int64)
-        centres = np.array([centre for _, centre, _ in known]).reshape(-1, 3)
-        return _Spheres(sides, joints, centres, np.array([reach for _, _, reach in known]))
-
 
 class FacingShapes:
     """Assigns the corners of the patches of pairs of shapes to the contacts reserved for these pairs.
@@ -78,7 +65,7 @@ class FacingShapes:
         model: The model.
         dynamics: The dynamics, whose contacts and workspace are modified.
         layout: The layout of the scene.
-        every: The pairs, and the numbers of the contacts reserved for their points.
+        shapes: The pairs, the contacts reserved for their points, and the constants of these while open.
         rests: (nj,) whether each joint is at rest; patches between joints at rest are not recomputed.
         near: Gap below which patches are computed at any speed [m].
 
@@ -92,7 +79,7 @@ class FacingShapes:
         model: pin.Model,
         dynamics: SceneDynamics,
         layout: SceneLayout,
-        every: Reserved,
+        shapes: TouchingPoints,
         rests: Bools,
         near: float,
     ) -> None:
@@ -100,17 +87,20 @@ class FacingShapes:
         self._dynamics, self._work = dynamics, dynamics.work
         self._near, self._gravity = near, float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
-        work = self._work
-        self._blanks = work.contact_constants.copy()
-        self.idle = np.array([contact.pair is not None for contact in dynamics.contacts], dtype=bool)
-        self._kept = np.flatnonzero(self.idle)
+        work, every = self._work, shapes.places
+        self._blanks, self._kept = shapes.blanks, shapes.reserved
+        self.idle = np.zeros(len(dynamics.contacts), dtype=bool)
+        self.idle[self._kept] = True
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
         self._ends = work.contact_joints[self._kept]
-        self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
-        self._spheres = _Spheres.of([places.pair for places in self._pairs])
-        self._solids = _solids([pair for pair, _ in every], dynamics)
-        self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
+        boxes = np.array([_is_box(pair.a) and _is_box(pair.b) for pair, _ in every], dtype=bool)
+        self._pairs = [_Places(*every[p]) for p in np.flatnonzero(~boxes).tolist()]
+        joints, table, pairs = self._solids = _solids([pair for pair, _ in every], dynamics)
+        used, sides = np.unique(pairs[: len(every)][~boxes], return_inverse=True)
+        centres, reach = table[used, : passing.REACH], table[used, passing.REACH]
+        self._spheres = _Spheres(sides.reshape(-1, 2), joints[used], centres, reach)
+        self._set_boxes([every[p] for p in np.flatnonzero(boxes).tolist()])
 
     @cached_property
     def _data(self) -> Any:
@@ -220,7 +210,7 @@ class FacingShapes:
 
     def may_pass(self, q: Array, v: Array, h: float) -> bool:
         """Return whether solids may pass through each other in a step (h) with midpoint q and velocity v."""
-        return len(self._solids[0]) > 0 and may_pass(self._work, q, v, h, *self._solids)
+        return len(self._solids[0]) > 0 and passing.may_pass(self._work, q, v, h, *self._solids)
 
     def corners(self) -> dict[int, Corner]:
         """Return the corners that the last `place` assigned, by number of the contact."""
@@ -298,7 +288,7 @@ def _solids(every: list[ShapePair], dynamics: SceneDynamics) -> tuple[Integers, 
             (tip, base), row = work.contact_joints[i].tolist(), work.contact_constants[i].tolist()
             ball = number(None, tip, row[TIP : TIP + 3], row[RADIUS], 0.0, row[RADIUS])
             pairs.append((ball, number(None, base, row[POINT : POINT + 3], row[SIZE], 0.0, row[SIZE])))
-    table = np.array(measures).reshape(-1, SOLID_NUMBERS)
+    table = np.array(measures).reshape(-1, passing.SOLID_NUMBERS)
     return np.array(joints, dtype=np.int64), table, np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 

@@ -81,7 +81,7 @@ class TimeStepping(Integrator):
         self._rest, self._widest = Rest(model, work, state), widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
-        of_scene = model, self.dynamics, scene.layout(), self.shapes.places
+        of_scene = model, self.dynamics, scene.layout(), self.shapes
         self._faces = FacingShapes(*of_scene, self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)

@@ -91,6 +91,8 @@ class TouchingPoints:
     Attributes:
         tolerance: Gap up to which shapes touch [m].
         places: The pairs, and the contacts reserved for their points.
+        reserved: Numbers of these contacts.
+        blanks: (n, …) constants of all contacts while no shapes touch.
     """
 
     def __init__(
@@ -105,8 +107,9 @@ class TouchingPoints:
             self._apart = PairsApart(model, layout, pairs)
             self._moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
         self.places = [(layout.pairs[contact], numbers) for contact, numbers in groups]
-        self._reserved = np.array([i for _, numbers in groups for i in numbers], dtype=np.int64)
-        self._open = list(dynamics.contacts), work.contact_constants.copy(), work.contact_joints.copy()
+        self.reserved = np.array([i for _, numbers in groups for i in numbers], dtype=np.int64)
+        self.blanks = work.contact_constants.copy()
+        self._open = list(dynamics.contacts), work.contact_joints[self.reserved]
 
     @cached_property
     def _data(self) -> Any:
@@ -182,9 +185,9 @@ class TouchingPoints:
 
     def clear(self) -> None:
         """Remove the contacts of all pairs."""
-        work, numbers, (contacts, constants, joints) = self._work, self._reserved, self._open
+        work, numbers, (contacts, joints) = self._work, self.reserved, self._open
         self._dynamics.contacts[:] = contacts
-        work.contact_constants[numbers], work.contact_joints[numbers] = constants[numbers], joints[numbers]
+        work.contact_constants[numbers], work.contact_joints[numbers] = self.blanks[numbers], joints
         work.modes[numbers] = FREE
         self._state.touching = {}
 

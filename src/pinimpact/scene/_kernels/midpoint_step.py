@@ -29,7 +29,7 @@ from .dynamics import (
 )
 from .lie_charts import add_turning
 from .step_impulses import step_impulses
-from .step_rows import StepResult, StepRows, StepSystem, closing_speed, normal_row
+from .step_rows import StepResult, StepRows, StepSystem, closing_speed, first_row, normal_row
 from .struck_islands import mark_struck, replace_struck
 from .tolerances import STEPS_GAIN
 from .workspace import SceneWorkspace
@@ -472,7 +472,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
         velocities(rows, offset, v_end, free)
         problem, active = contact_problem(work, h, system, rows, found, slow, free)
         for i in range(len(active)):
-            row = 3 * i if i < len(rows.contacts) else 2 * len(rows.contacts) + i
+            row = first_row(len(rows.contacts), i)
             active[i] = active[i] and rows.counts[row] > 0 and found.struck[rows.columns[row, 0]]
         again = np.empty(n), np.empty(found.course.shape), begin.copy(), np.empty(nv)
         given = SOFTEST, SETTLED, again[2], again[3], again[0], again[1]

@@ -15,6 +15,7 @@ from ..._numeric.loops import assign, filled, flags
 from ..._numeric.products import products
 from ..._numeric.semidefinite import invert_definite
 from ..._numeric.tolerances import LITTLE, STALLED
+from .step_rows import first_row
 
 USABLE = STALLED
 """Residual of the contact problem, relative to u_free, above which it is reported. It is much smaller than
@@ -62,7 +63,7 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
         label[k] = k
     for i in range(len(active)):
         first[i] = -1
-        row = 3 * i if i < contacts else 2 * contacts + i
+        row = first_row(contacts, i)
         if not active[i] or counts[row] == 0:
             continue
         first[i] = tree[columns[row, 0]]

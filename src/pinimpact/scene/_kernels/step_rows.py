@@ -179,6 +179,12 @@ def closing_speed(gap, slow, h):
 
 
 @inlined
+def first_row(nc, i):
+    """Return the first row of item i: of contact i < nc, or else a row of a held contact, limit or joint."""
+    return 3 * i if i < nc else 2 * nc + i
+
+
+@inlined
 def normal_row(nc, every, i):
     """Return the normal row of contact i < nc, or the row of limit i − nc, and the index of its gap.
 

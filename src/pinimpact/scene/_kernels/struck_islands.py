@@ -19,16 +19,13 @@ def mark_struck(rows, system, active, found):
         active: (items,) contacts and scalar rows that take part.
         found: The `StepResult` with the impulses; its `struck` is filled.
     """
-    nc, every, tree, struck = (
-        len(rows.contacts),
-        len(rows.contacts) + len(rows.held),
-        system.tree,
-        found.struck,
-    )
+    nc, tree, struck = len(rows.contacts), system.tree, found.struck
+    every, hit = nc + len(rows.held), flags(len(struck), False)  # the trees of stopped contacts and limits
     strikes = False
     for i in range(nc + len(rows.limits)):
         row = normal_row(nc, every, i)[0]
-        strikes = strikes or (found.fast[i] and not found.arrives[i] and found.impulse[row] > 0.0)
+        if found.fast[i] and not found.arrives[i] and found.impulse[row] > 0.0:
+            strikes = hit[tree[rows.columns[row, 0]]] = True
     for c in range(len(struck)):
         struck[c] = False
     if not strikes:
@@ -36,10 +33,9 @@ def mark_struck(rows, system, active, found):
     label, first = np.empty(len(struck), dtype=np.int64), np.empty(len(active), dtype=np.int64)
     label_trees(rows.columns, rows.counts, nc, active, tree, label, first)
     marked = flags(len(label), False)
-    for i in range(nc + len(rows.limits)):
-        row = normal_row(nc, every, i)[0]
-        if found.fast[i] and not found.arrives[i] and found.impulse[row] > 0.0:
-            marked[label[tree[rows.columns[row, 0]]]] = True
+    for k in range(len(hit)):
+        if hit[k]:
+            marked[label[k]] = True
     for c in range(len(struck)):
         struck[c] = marked[label[tree[c]]]
     return True
