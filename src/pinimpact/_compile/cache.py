@@ -174,7 +174,7 @@ def _hold_lock(needless: Callable[[], bool] = lambda: False) -> bool:
         nonlocal said
         if not said and time.monotonic() - begun > SHORT:
             said = True
-            LOG.warning("%s: waiting for another process that compiles kernels, see %s", PACKAGE, found.file)
+            LOG.warning("%s: waiting for a process that compiles kernels to %s", PACKAGE, found.file.parent)
         return needless()
 
     found.acquire(enough)
