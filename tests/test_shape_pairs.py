@@ -142,6 +142,24 @@ def test_impact_of_two_bodies_conserves_momentum_and_applies_restitution():
     np.testing.assert_allclose(again.v, hit.v, atol=1e-9)  # gaps have rounding errors
 
 
+def test_contact_of_a_scene_without_a_position_is_not_taken_for_a_separated_one():
+    robot = two_bodies(coal.Box(0.4, 0.4, 0.4), coal.Box(1.0, 1.0, 0.2))
+    pair = Contact(geometry="a", plane=Shape("b"), restitution=0.5)
+    corner = Scene(robot, contacts=pair).contacts[1]
+    q, v = np.concatenate([pose(0.1, 0.0, 0.37, 0.0, 0.0), pose(0.0, 0.0, 0.0)]), np.zeros(12)
+    assert abs(corner.gap(robot, robot.data, q) - 0.07) < 1e-12
+    for given in (
+        lambda: pinimpact.impact(robot, robot.data, q, v, corner),
+        lambda: pinimpact.impact(robot, robot.data, q, v, [corner]),
+        lambda: pinimpact.impacts(robot, robot.data, [q], [v], corner),
+        lambda: pinimpact.contact_matrices(robot, robot.data, q, corner),
+        lambda: Scene(robot, held=corner),
+    ):
+        with pytest.raises(pinimpact.InputError, match=r"impact\(\) takes its contact.pair"):
+            given()
+    assert len(pinimpact.impact(robot, robot.data, q, v, corner.pair).impulses_world) == 4
+
+
 def test_impact_of_shapes_equals_that_of_explicit_contact():
     robot = two_bodies(coal.Box(0.4, 0.4, 0.4), coal.Box(1.0, 1.0, 0.2))
     tilted = pin.rpy.rpyToMatrix(0.3, 0.4, 0.0)

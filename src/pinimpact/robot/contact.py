@@ -26,6 +26,9 @@ from .names import frame_id, model_of
 from .placed_robot import PlacedRobot
 from .solids import Solid, two_shapes
 
+FAR = 1e12
+"""Distance from its surface of a contact without a position [m], further than any two bodies are apart."""
+
 
 @dataclass(frozen=True, repr=False)
 class Contact:
@@ -173,6 +176,11 @@ class Contact:
         """The coefficient of friction of sustained contact."""
         return self.friction if self.sliding_friction is None else self.sliding_friction
 
+    @property
+    def unplaced(self) -> bool:
+        """Whether it is a contact point of two shapes without a position, which it has while they touch."""
+        return self.pair is not None and isinstance(self.plane, Plane) and self.plane.point[2] == -FAR
+
     def restitution_at(self, speed: float) -> float:
         """Return e for an approach speed [m/s].
 
@@ -186,14 +194,16 @@ class Contact:
     def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:
         """Return the signed distance of the contact point from the surface [m], negative inside.
 
-        For a collision shape it is the smallest gap of its tips, or the distance of two shapes; `model` must
-        then be the RobotWrapper.
+        For a collision shape it is the smallest gap of its tips, or the distance of two shapes, also for a
+        contact of two shapes in `Scene.contacts`; `model` must then be the RobotWrapper.
         Changes ``data.oMi``, ``data.liMi`` and ``data.oMf`` of the two frames.
 
         Raises:
             InputError: A q of the wrong length or not finite.
             UnknownNameError: A frame that the model does not have.
         """
+        if self.unplaced and self.pair is not None:
+            return self.pair.gap(model, data, q)
         if self.geometry is None:
             return PlacedRobot(model, data, q).locate(self)[0]
         if is_pair(model, self):
@@ -275,13 +285,15 @@ def check_surface(field: str, value: Any) -> None:
         raise InputError(f"{field}: {in_short(value)} is not a Plane, Sphere, Box or Shape", value=value)
 
 
-def check_contact(field: str, value: Any) -> None:
-    """Raise an error for anything but a `Contact` of one point."""
+def check_contact(field: str, value: Any, placed: bool = True) -> None:
+    """Raise an error for anything but a `Contact` of one point, which has a position if it must be placed."""
     if not isinstance(value, Contact):
         raise InputError(f"{field}: {in_short(value)} is not a Contact", value=value)
-    if value.geometry is not None:
+    if value.geometry is not None or (placed and value.unplaced):
         instead = "give those of its contact.tips(robot) that touch"
-        if not isinstance(value.plane, Plane):  # the contact points depend on the configuration
+        if value.unplaced:  # of a scene
+            instead = "impact() takes its contact.pair"
+        elif not isinstance(value.plane, Plane):  # the contact points depend on the configuration
             instead = "impact() and scenes take it"
         raise InputError(
             f"{field}: {value.label!r} is a contact of a collision shape, which has no single point here; "

@@ -23,7 +23,7 @@ from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
 from ..geometry.tolerances import NEAREST
-from .contact import Contact
+from .contact import FAR, Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
 from .solids import CarriedShape, two_shapes
@@ -90,10 +90,6 @@ def _called(contact: Contact, name: str) -> Contact:
     other = copy(contact)
     object.__setattr__(other, "name", name)
     return other
-
-
-FAR = 1e12
-"""Distance from its surface of a contact without a position [m], further than any two bodies are apart."""
 
 
 def shape_pair(robot: Any, contact: Contact) -> ShapePair:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pinocchio as pin
 
 from ._kernels.robot_workspace import RobotWorkspace
-from .contact import Contact
+from .contact import Contact, check_contact
 from .data_cache import DataCache, outdated
 from .pinocchio_bridge import refuse
 from .tree_numbers import workspace_of
@@ -30,6 +30,7 @@ def strike(
     found = cache.workspaces.get(id(contact))
     if found is not None:
         return found
+    check_contact("contact", contact)
     frame, carrier, signs = cache.contact(contact.frame, contact.plane.body)
     if cache.flaw is not None:
         refuse(model)

@@ -349,7 +349,7 @@ def _named(contacts: Sequence[Contact]) -> list[Contact]:
 def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...]:
     contacts = as_tuple(field, contacts, Contact, "a Contact")
     for contact in contacts:
-        check_contact(field, contact)
+        check_contact(field, contact, placed=field == "held")
     for frame in dict.fromkeys(contact.frame for contact in contacts):
         frame_id(model, frame)
     for contact in {contact.plane: contact for contact in reversed(contacts)}.values():
