@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,7 +14,7 @@ import pinimpact
 from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.app.scene_loader import load_scene
 
-from .scene_models import UP, ball, free_body, pendulum, run, slider, unbounded
+from .scene_models import UP, ball, free_body, pendulum, run, shaped_body, slider, unbounded
 
 FLOOR = Plane()
 WALL = Plane(point=(1.0, 0, 0), normal=(-1.0, 0, 0))
@@ -37,6 +38,16 @@ def test_two_points_on_one_plane() -> None:
     corners = [Contact("center", FLOOR, offset=(x, 0, 0)) for x in (-0.1, 0.1)]
     assert labels(Scene(ball(), corners)) == ["center on plane 1", "center on plane 2"]
     assert labels(Scene(ball(), corners[:1], held=corners[1:])) == ["center on plane 1", "center on plane 2"]
+
+
+def test_one_shape_with_two_planes() -> None:
+    crate = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
+    both = Scene(crate, [Contact(geometry="crate", plane=plane) for plane in (FLOOR, WALL)])
+    assert labels(both) == [f"crate corner {k} on plane {n}" for n in (1, 2) for k in range(1, 9)]
+    later = Scene(crate).contacts_from_geometry(FLOOR).contacts_from_geometry(WALL)
+    assert labels(later) == [f"crate corner {k} on plane{n}" for n in ("", " 1") for k in range(1, 9)]
+    with pytest.raises(pinimpact.InputError, match="2 contacts are called 'crate corner 1 on plane'"):
+        Scene(crate).contacts_from_geometry(FLOOR).contacts_from_geometry(FLOOR, friction=0.5)
 
 
 def test_given_names_are_kept() -> None:

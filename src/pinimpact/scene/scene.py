@@ -107,11 +107,9 @@ class Scene:
         assign(self, "model", model_of(self.model))
         check_numbers(self.model)
         assign(self, "without", check_names(self.without))
-        assign(self, "contacts", self._tips(self.contacts))
-        contacts, held = (
-            _contacts(field, getattr(self, field), self.model) for field in ("contacts", "held")
-        )
-        named = _named([*contacts, *held])
+        tips, default = self._tips(self.contacts)
+        contacts, held = _contacts("contacts", tips, self.model), _contacts("held", self.held, self.model)
+        named = _named([*contacts, *held], [*default, *(contact.name is None for contact in held)])
         assign(self, "contacts", tuple(named[: len(contacts)]))
         assign(self, "held", tuple(named[len(contacts) :]))
         self._check_names([contact.label for contact in named])
@@ -134,21 +132,24 @@ class Scene:
                 value=self.resting_speed,
             )
 
-    def _tips(self, contacts: Any) -> Any:
-        """Replace contacts of collision shapes by their tips."""
+    def _tips(self, contacts: Any) -> tuple[Any, list[bool]]:
+        """Replace contacts of collision shapes by their tips; return also whose names can be numbered.
+
+        Names of a shape that is given twice with one surface cannot, so that this raises an error.
+        """
         given = (contacts,) if isinstance(contacts, Contact) else contacts
-        if not isinstance(given, Sequence) or not any(
-            isinstance(contact, Contact) and contact.geometry is not None for contact in given
-        ):
-            return contacts
+        if not isinstance(given, Sequence) or not all(isinstance(contact, Contact) for contact in given):
+            return contacts, []
         robot = ShapedRobot(self.model, self.geometry) if self.geometry is not None else self.model
-        found: list[Any] = []
+        found: list[Contact] = []
+        default: list[bool] = []
+        counts = Counter((contact.geometry or contact.shape, contact.plane) for contact in given)
         for contact in given:
-            if isinstance(contact, Contact):
-                found += places(robot, contact) if is_pair(robot, contact) else contact.tips(robot)
-            else:
-                found.append(contact)
-        return found
+            once = contact.geometry is None or counts[contact.geometry, contact.plane] == 1
+            tips = places(robot, contact) if is_pair(robot, contact) else contact.tips(robot)
+            found += tips
+            default += [contact.name is None and once] * len(tips)
+        return found, default
 
     def contacts_from_geometry(
         self, surface: Surface, links: str | Sequence[str] = "all", **coefficients: Any
@@ -331,15 +332,15 @@ def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
     return result
 
 
-def _named(contacts: Sequence[Contact]) -> list[Contact]:
-    """Return contacts with unique labels; given names are not changed."""
+def _named(contacts: Sequence[Contact], default: Sequence[bool]) -> list[Contact]:
+    """Return contacts with unique labels; only default names are changed."""
     for contact, count in Counter(contacts).items():
         if count > 1:
             raise InputError(
                 f"contacts: {contact.label!r} is given twice; leave one out, or give each its own name=",
                 value=contact,
             )
-    labels = numbered([c.label for c in contacts], [c.name is None for c in contacts])
+    labels = numbered([c.label for c in contacts], default)
     return [
         contact if contact.label == label else replace(contact, name=label)
         for contact, label in zip(contacts, labels, strict=True)
