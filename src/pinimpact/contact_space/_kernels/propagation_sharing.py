@@ -12,7 +12,7 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, filled
+from ..._numeric.loops import filled
 from ..._numeric.products import dot
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import EXACT, TINY
@@ -28,8 +28,8 @@ COARSE, FINER = 0.1, 0.01
 CLEAR = 1e-6
 """Acceleration, over the largest friction bound, above which the slipping contacts are reliably known."""
 
-APPROACHES, TURNS = 30, 8
-"""Largest numbers of directions d that approach the limit, and of iterations of Newton's method at it."""
+APPROACHES = 30
+"""Largest number of directions d that approach the limit."""
 
 FIRM = 1e-2
 """Eigenvalue of LᵀL, relative to the largest, above which impulses of creep are corrected so that they do not
@@ -183,7 +183,7 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
     bounds, held = _loads_of(system, at, rows, series, degree)
     bound, load, y, v = np.empty(m), np.empty(r), np.zeros(r), np.zeros(3 * m)
     d, excess, s = np.zeros(r), np.empty(degree + 1), NEVER
-    slips, friction = np.zeros(m, dtype=np.bool_), np.zeros((m, 2))
+    slips = np.zeros(m, dtype=np.bool_)
     beyond = False
     for look in range(1, LOOKS + 1):
         s = reach * look / LOOKS
@@ -199,13 +199,10 @@ def limit_of_holding(system, state, series, degree, reach, roots, work):
             break
         for c in range(m):
             slips[c] = _slips(v, c)
-            for a in range(2):
-                friction[c, a] = bound[c] * v[3 * c + a] / NEGLIGIBLE
         before, s = s, min(first_fall(excess, degree, s, 0.0, work), s)
         if not before - s > EXACT * reach:
             break
         _creep_at(rows, bounds, held, degree, s, bound, load, y, v)
-    s = _polish(rows, bounds, held, degree, reach, s, d, slips, friction)
     for c in range(m):
         j = at[c]
         ax, ay = dot(rows[3 * c], d), dot(rows[3 * c + 1], d)
@@ -229,91 +226,6 @@ def _excess(bounds, held, degree, y, v, d, excess):
         for c in range(bounds.shape[1]):
             excess[k] += bounds[k, c] * math.hypot(v[3 * c], v[3 * c + 1]) / length
     return length
-
-
-@inlined
-def _polish(rows, bounds, held, degree, reach, s, d, slips, friction):
-    """Refine d (r,) and s of the limit by Newton's method on the equations below (14.13); return s.
-
-    Args:
-        rows: (3m, r) L.
-        bounds, held, degree: Series of `_loads_of`.
-        reach: Upper bound of s.
-        s: Initial guess.
-        d: (r,) initial guess with |d| = 1; is overwritten.
-        slips: (m,) whether a contact slips; Ld = 0 at others.
-        friction: (m, 2) friction at contacts that do not slip, over the largest bound.
-    """
-    m, r = len(slips), len(d)
-    places, count = np.empty(m, dtype=np.int64), 0
-    for c in range(m):
-        if not slips[c]:
-            places[c] = r + 2 * count
-            count += 1
-    size = r + 2 * count + 1
-    last = size - 1
-    matrix, right, change = np.empty((size, size)), np.empty(size), np.empty(size)
-    start, direction, strongest = s, d.copy(), TINY
-    for c in range(m):
-        strongest = max(strongest, value_at(bounds, c, degree, s))
-    for _ in range(TURNS):
-        filled(matrix.ravel(), 0.0)
-        filled(right, 0.0)
-        for k in range(r):
-            right[k] = -value_at(held, k, degree, s) / strongest
-            matrix[k, last] = _slope_at(held, k, degree, s) / strongest
-        for c in range(m):
-            if not slips[c]:
-                for a in range(2):
-                    for k in range(r):
-                        part, place = rows[3 * c + a, k], places[c] + a
-                        right[k] += part * friction[c, a]
-                        matrix[k, place] = -part
-                        matrix[place, k] = part
-                        right[place] -= part * d[k]
-                continue
-            ax, ay = dot(rows[3 * c], d), dot(rows[3 * c + 1], d)
-            speed = math.hypot(ax, ay)
-            if not speed > 0.0:
-                return start
-            ux, uy = ax / speed, ay / speed
-            most = value_at(bounds, c, degree, s) / strongest
-            slope = _slope_at(bounds, c, degree, s) / strongest
-            for k in range(r):
-                along = rows[3 * c, k] * ux + rows[3 * c + 1, k] * uy
-                across = rows[3 * c + 1, k] * ux - rows[3 * c, k] * uy
-                right[k] += most * along
-                matrix[k, last] -= slope * along
-                for i in range(r):
-                    other = rows[3 * c + 1, i] * ux - rows[3 * c, i] * uy
-                    matrix[k, i] -= most / speed * across * other
-        for k in range(r):
-            matrix[last, k] = d[k]
-        least_norm(matrix, right, NEGLIGIBLE, change, np.empty((0, size)))
-        largest = 0.0
-        for k in range(r):
-            d[k] += change[k]
-            largest = max(largest, abs(change[k]))
-        for c in range(m):
-            if not slips[c]:
-                friction[c, 0] += change[places[c]]
-                friction[c, 1] += change[places[c] + 1]
-        s += change[last]
-        if not abs(s - start) <= NEGLIGIBLE**0.5 * reach:
-            assign(d, direction)
-            return start
-        if largest <= EXACT:
-            break
-    return min(max(s, 0.0), reach)
-
-
-@inlined
-def _slope_at(rows, i, degree, s):
-    """Return the derivative of Σ rows[k, i] sᵏ."""
-    total = degree * rows[degree, i]
-    for k in range(degree - 1, 0, -1):
-        total = total * s + k * rows[k, i]
-    return total
 
 
 @inlined
