@@ -23,6 +23,7 @@ from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.robot import pinocchio_bridge as bridge
 from pinimpact.robot import tree_numbers
 from pinimpact.robot._kernels.python_calls import call, raise_kept_error
+from pinimpact.robot.forest import crba
 
 from . import robot_cases as cases
 from . import test_contacts_matrices, test_impact_physics, test_simulation
@@ -431,6 +432,7 @@ SCRIPT = """
 import numpy as np
 from pinimpact.robot import pinocchio_bridge as bridge
 from pinimpact.robot._kernels.python_calls import call, raise_kept_error
+from pinimpact.robot.forest import crba
 import pinocchio as pin
 model = pin.buildSampleModelManipulator()
 robot = bridge.robot_dynamics(model)
@@ -452,3 +454,14 @@ def test_calls_without_compiler():
         [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=False
     )
     assert (run.stdout, run.stderr) == ("passed on\n", "")
+
+
+@pytest.mark.parametrize("name", ["ur5", "solo12"])
+def test_mass_matrix_of_crba_is_symmetric_and_has_the_kinetic_energy(name, rng):
+    model, data = cases.load(name)
+    model.armature = rng.uniform(0.1, 1.0, model.nv)
+    q, v = cases.random_state(model, rng)
+    mass = crba(model, data, q)
+    assert np.array_equal(mass, mass.T)
+    energy = bridge.kinetic_energy(model, data, q, v)
+    assert energy == pytest.approx(cases.kinetic_energy(model, q, v), rel=1e-12)

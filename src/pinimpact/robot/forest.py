@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from .._numeric.tolerances import NOISE
 from ..arrays import Array, Integers
-from .articulated_bodies import inverse_of, is_accurate, mass_of
+from .articulated_bodies import inverse_of, is_accurate
 
 LARGE = 60
 """Velocities up to which a robot has one Data, and a part several trees."""
@@ -139,7 +139,7 @@ def inverse_mass(model: pin.Model, data: Any, q: Array) -> Array:
 def _inverse_mass(model: pin.Model, data: pin.Data, q: Array) -> Array:
     if is_accurate(model):
         return np.asarray(pin.computeMinverse(model, data, q))
-    return inverse_of(mass_of(model, data, q))
+    return inverse_of(crba(model, data, q))
 
 
 def _by_blocks(function: Callable[..., Array], model: pin.Model, data: Any, q: Array) -> Array:

@@ -379,8 +379,7 @@ def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> floa
         state = part.model, part.data, q[part.q]
         own = v[part.v]
         if part.model.armature.any():
-            upper = np.triu(crba(*state))
-            total += float(own @ (upper @ own) - 0.5 * (own * own) @ upper.diagonal())
+            total += 0.5 * float(own @ crba(*state) @ own)
         else:
             total += float(pin.computeKineticEnergy(*state, own))
     return total

@@ -129,7 +129,7 @@ class StepSlopes:
         if len(kept) == 0:
             return x
         self.boundary |= Boundary.CLOSED
-        inverse, x, n = np.linalg.inv(self._mass(step.q)), x.copy(), x.shape[1]
+        inverse, x, n = np.linalg.inv(mass_matrix(self._model, self._data, step.q)), x.copy(), x.shape[1]
         pushed = np.zeros((2 * nv, 2 * len(kept)))
         pushed[:nv, : len(kept)] = inverse @ law.jacobian[kept].T
         pushed[nv:, len(kept) :] = inverse @ law.pushes().T
@@ -232,7 +232,7 @@ class StepSlopes:
         stiffness = np.where(follows, work.drive_stiffness, 0.0)
         damping = work.damping + np.where(follows, work.drive_damping, 0.0)
         softer = 0.5 * damping + 0.5 * h * stiffness  # derivative of `softened` by h
-        mass = self._mass(q)
+        mass = mass_matrix(self._model, self._data, q)
         total = mass + np.diag(softened)
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
@@ -434,10 +434,6 @@ class StepSlopes:
         self._known = taken, _Rows(jacobian, slopes, turns, start, end, gaps)
         return self._known[1]
 
-    def _mass(self, q: Array) -> Array:
-        upper = mass_matrix(self._model, self._data, q)
-        return np.triu(upper) + np.triu(upper, 1).T
-
     # ---- impacts, dense output and removal of overlap
 
     def _shift(self, moved: _Moved, taken: StepTaken, part: float, i: int) -> Array:
@@ -485,7 +481,8 @@ class StepSlopes:
             gaps = np.arange(len(every)) < len(rows.normals)  # not tangential rows of held contacts
             gaps |= every % 3 == 2
             bent = (slopes.forces(world) - slopes.of_mass(xi)) @ by_q
-            solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
+            mass = mass_matrix(self._model, self._data, before)
+            solved = np.linalg.solve(mass, np.column_stack([bent, kept.T]))
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
