@@ -18,6 +18,7 @@ from .forest import Forest
 from .inertias import check_inertias
 from .joint_limits import bounds, warn_of_limits
 from .names import frame_id, motion_signs
+from .once import Known, once
 from .pinocchio_bridge import flaw
 from .tolerances import SLACK
 from .tree_numbers import UNALIGNED, Tree, tree_of
@@ -42,7 +43,8 @@ class DataCache:
         if self.mimics:  # M has no tree's pattern, so take it as a chain
             self.parents = np.arange(-1, model.nv - 1)
         self.model = weakref.ref(model)
-        self.data = weakref.ref(data, _forget(_caches, id(data)))
+        forget, key = _caches.pop, id(data)  # bound now: at exit module globals may be gone before `data`
+        self.data = weakref.ref(data, lambda _: forget(key, None))
         self.nframes = self.frames_seen = model.nframes
         self.njoints = model.njoints
         self.nv = model.nv
@@ -122,6 +124,10 @@ def _joints(data: pin.Data) -> _Joints:
     return _Joints(data.parents_fromRow.tolist(), kinds, axes)
 
 
+def _own_joints(model: pin.Model) -> _Joints:
+    return _joints(model.createData())
+
+
 def _parents(model: pin.Model, data: Any) -> np.ndarray:
     """Return the parents of velocities; raise an error for Data of another model."""
     if not isinstance(data, pin.Data):
@@ -132,12 +138,7 @@ def _parents(model: pin.Model, data: Any) -> np.ndarray:
         )
     if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
         raise outdated(model, data)
-    key, sizes = id(model), (model.nq, model.nv, model.njoints, model.nframes)
-    known = _known.get(key)
-    if known is None or known[0]() is not model or known[1] != sizes:
-        reference = weakref.ref(model, _forget(_known, key))
-        known = _known[key] = reference, sizes, _joints(model.createData())
-    own, given = known[2], _joints(data)
+    own, given = once(_known, model, _own_joints), _joints(data)
     if given.parents != own.parents:
         raise _foreign(data, "whose kinematic tree is another")
     for name, kind, other, axis, its in zip(
@@ -167,12 +168,7 @@ def outdated(model: pin.Model, data: Any) -> InputError:
 
 
 _caches: dict[int, DataCache] = {}
-_known: dict[int, tuple[Any, tuple[int, ...], _Joints]] = {}
-
-
-def _forget(known: dict[int, Any], key: int) -> Any:
-    forget = known.pop  # bound now: at exit module globals may be gone before the weak references
-    return lambda _: forget(key, None)
+_known: Known = {}
 
 
 def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
