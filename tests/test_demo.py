@@ -18,8 +18,9 @@ from pinimpact.app.cli import main
 from pinimpact.app.demo import FREE_BASE, run_demo
 from pinimpact.app.posture import Body
 from pinimpact.app.report import rounded
-from pinimpact.app.robot_info import free_base, robot_facts, suggested_frames
+from pinimpact.app.robot_info import robot_facts, suggested_frames
 from pinimpact.robot.loading import load_robot, named_robots
+from pinimpact.robot.names import free_base
 
 FIXED = """<robot name="post"><link name="base"/>
 <joint name="weld" type="fixed"><parent link="base"/><child link="top"/></joint>

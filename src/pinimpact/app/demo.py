@@ -17,7 +17,7 @@ from ..geometry.plane import Plane
 from ..geometry.surfaces import contact_axes, unit_vector
 from ..robot.contact import Contact
 from ..robot.loading import load_robot
-from ..robot.names import frame_id
+from ..robot.names import frame_id, free_base
 from ..scene.controls import Control, JointPD
 from ..scene.events import Event
 from ..scene.records import ImpactRecord
@@ -26,7 +26,7 @@ from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
 from ..visual.surface_shapes import MARGIN
 from .posture import FLAT, TILTS, Body, Strike, arm_posture, bent, landing, soles
-from .robot_info import frame_label, free_base, suggested_frames
+from .robot_info import frame_label, suggested_frames
 
 BEFORE, AFTER = 0.15, 0.25
 """Simulated time before and after the impact [s], for a robot of 1 m; less for smaller ones."""
@@ -180,8 +180,7 @@ def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tupl
 def _idle_joints(model: pin.Model, q: Array) -> set[int]:
     """Return joints that move no inertia, alone or together: without them the mass matrix is regular."""
     joint_of = [j for j in range(1, model.njoints) for _ in range(model.nvs[j])]
-    mass = pin.crba(model, model.createData(), q).reshape(model.nv, model.nv)
-    mass = np.triu(mass) + np.triu(mass, 1).T
+    mass = pin.crba(model, model.createData(), q)
     idle: set[int] = set()
     while True:
         free = [k for k, j in enumerate(joint_of) if j not in idle]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from ..checks import counted
 from ..contact_space.solution import CAUSES
 from ..robot.contact import Contact
 from ..robot.forest import data_of
+from ..robot.names import coordinate_names
 from ..robot.pinocchio_bridge import kinetic_energy
 from ..scene.records import ImpactRecord, by_impact, group_notes
 from ..scene.trajectory import Trajectory
@@ -65,7 +66,7 @@ def impact_report(
             "Joint velocities [rad/s or m/s]",
             ("", "before", "after"),
             zip(
-                velocity_names(model),
+                coordinate_names(model)[1],
                 *(rounded(v, CONDITION * float(np.abs(v).max())) for v in (impact.v_before, impact.v_after)),
                 strict=True,
             ),
@@ -94,7 +95,7 @@ def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> di
         "restitution": impact.problem.restitution,
         "velocity_before": np.asarray(impact.problem.velocity).tolist(),
         "velocity_after": solution.velocity.tolist(),
-        "joints": list(velocity_names(model)),
+        "joints": list(coordinate_names(model)[1]),
         "v_before": impact.v_before.tolist(),
         "v_after": impact.v_after.tolist(),
         "impulse": solution.impulse.tolist(),
@@ -236,14 +237,6 @@ def _impact_row(impact: ImpactRecord) -> tuple[Any, ...]:
         impact.solution.work.total,
         ", ".join(impact.remarks),
     )
-
-
-def velocity_names(model: pin.Model) -> Iterator[str]:
-    """Yield a name for each velocity: its joint's, numbered where the joint has several."""
-    for joint in range(1, model.njoints):
-        count = model.nvs[joint]
-        for k in range(count):
-            yield model.names[joint] + (f"[{k}]" if count > 1 else "")
 
 
 def _energy(model: pin.Model, impact: ImpactRecord) -> Table:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..robot.joint_limits import bounds
+from ..robot.names import free_base
 
 TOOLS = r"tcp|tool|\bee\b|\beef\b|end.?effector|gripper|hand\b"
 FEET = r"foot|feet|sole|toe|contact|paw|ankle"
@@ -80,11 +81,6 @@ def _chain_ends(model: pin.Model) -> list[int]:
 def _words(name: str) -> str:
     """Return a name in lower case, with spaces between its words."""
     return re.sub(r"[^a-z]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
-
-
-def free_base(model: pin.Model) -> bool:
-    """Return whether the robot has a free base."""
-    return model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer"
 
 
 def frame_label(model: pin.Model, i: int) -> str | int:

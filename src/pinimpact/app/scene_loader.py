@@ -18,6 +18,7 @@ from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
+from ..robot.names import free_base, joint_id
 from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import SCHEMES, simulate
@@ -191,7 +192,7 @@ def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, list[_Base
             robot.model.gravity.linear = np.array(file.gravity)
         rotation = pin.rpy.rpyToMatrix(*(table.rpy or (0.0, 0.0, 0.0)))
         pose = pin.SE3(rotation, np.array(table.position or (0.0, 0.0, 0.0)))
-        if robot.model.njoints > 1 and robot.model.joints[1].shortname() == "JointModelFreeFlyer":
+        if free_base(robot.model):
             if table.position or table.rpy:
                 robot.q0[:7] = pin.SE3ToXYZQUAT(pose)
             pose = pin.SE3.Identity()
@@ -240,10 +241,7 @@ def _start(start: StartTable, robot: pin.RobotWrapper, bases: Sequence[_Base]) -
 
 def _single_joint(model: pin.Model, key: str, name: str) -> tuple[int, bool]:
     """Return the id of a joint with one degree of freedom, and whether it is prismatic."""
-    joint = model.getJointId(name)
-    if joint == model.njoints:
-        names = list(model.names)[1:]
-        raise UnknownNameError(f"{key}: no joint is called {name!r}; {near_matches(name, names)}", value=name)
+    joint = joint_id(model, name, key)
     if model.nvs[joint] != 1:
         raise InputError(
             f"{key}: {name} has {model.nvs[joint]} degrees of freedom; set them with start.q and start.v, "

@@ -15,6 +15,7 @@ import pinocchio as pin
 from .._numeric.tolerances import EXACT
 from ..arrays import Array
 from ..errors import ModelError
+from .names import free_base
 
 SLIDES = "JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic"
 """Prefixes of the names of joints whose coordinate is a length."""
@@ -38,7 +39,7 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         raise ModelError(
             f"robot: {path} is not an MJCF file that Pinocchio can read: {_last_line(error)}", value=str(path)
         ) from error
-    if root_joint and model.joints[1].shortname() != "JointModelFreeFlyer":
+    if root_joint and not free_base(model):
         raise ModelError(
             f"free_flyer: True given, but the first body of {path} has joints to the world already; give it "
             "a freejoint in the file instead",
@@ -48,7 +49,7 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
         model.gravity.linear = np.array([float(x) for x in option.get("gravity", "").split()])
     if root.find("option/flag[@gravity='disable']") is not None:
         model.gravity.linear = np.zeros(3)
-    if not root_joint and model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer":
+    if not root_joint and free_base(model):
         model.jointPlacements[1] = pin.SE3.Identity()  # its coordinates are the pose in the world
     keys = {entry.key(): entry.data() for entry in model.referenceConfigurations}
     _correct_limits(model, root, keys.get("qpos0", np.zeros(model.nq)))

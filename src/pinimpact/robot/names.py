@@ -82,7 +82,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
     """Return (nv,) booleans: False for the velocities of the joints named (or numbered) in `locked`."""
     free = np.ones(model.nv, dtype=np.bool_)
     for key in joint_keys(locked):
-        joint = _joint_id(model, key, "locked")
+        joint = joint_id(model, key, "locked")
         free[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = False
     return free
 
@@ -95,7 +95,7 @@ def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffe
     stiff = np.zeros(model.nv)
     if isinstance(stiffening, Mapping):
         for key, value in stiffening.items():
-            joint = _joint_id(model, key, "stiffening")
+            joint = joint_id(model, key, "stiffening")
             if model.nvs[joint] != 1:
                 raise _not_stiffened(f"joint {key!r} has {counted(model.nvs[joint], 'velocity')}", key)
             stiff[model.idx_vs[joint]] = coefficient(f"stiffening[{key!r}]", value)
@@ -114,6 +114,11 @@ def is_stiff(stiffening: Stiffening) -> bool:
     return real_number("stiffening", stiffening) != 0.0
 
 
+def free_base(model: pin.Model) -> bool:
+    """Return whether the first joint of a robot is free."""
+    return model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer"
+
+
 def single_joints(model: pin.Model) -> dict[str, int]:
     """Return the index of the velocity of each joint that has one, by name."""
     joints = zip(model.names, model.idx_vs, model.nvs, strict=True)
@@ -127,7 +132,7 @@ def _not_stiffened(what: str, value: Any) -> InputError:
     )
 
 
-def _joint_id(model: pin.Model, key: Any, field: str) -> int:
+def joint_id(model: pin.Model, key: Any, field: str) -> int:
     """Return the id of a joint given by name or id."""
     joint = model.getJointId(key) if isinstance(key, str) else whole_number(field, key, 0)
     if isinstance(key, str) and joint == model.njoints:

@@ -15,6 +15,7 @@ from ..arrays import Array
 from ..checks import choice, counted, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..robot.matrices import ContactMatrices, contact_matrices
+from ..robot.names import free_base
 from ..scene.scene import Scene
 
 
@@ -129,7 +130,7 @@ def free_body(scene: Scene, what: str) -> pin.Inertia:
     Recorded configurations are poses in the world, so the axes of the free joint must be those of the world.
     """
     model = scene.model
-    if model.njoints != 2 or model.joints[1].shortname() != "JointModelFreeFlyer":
+    if model.njoints != 2 or not free_base(model):
         raise InputError(
             f"scene: {what} is for one free body; {model.name!r} has {model.njoints - 1} joints", value=scene
         )
