@@ -135,7 +135,7 @@ def test_landing_by_events_and_by_steps(count, seed):
 
 
 def stack(rng):
-    """Return J and the diagonal of M of two boxes, one on the other, on the floor, and their common velocity."""
+    """Return J and the diagonal of M of two boxes, one on the other, and their common velocity."""
     (a, b), h, v = rng.uniform(0.05, 0.2, 2), rng.uniform(0.03, 0.1), rng.uniform(-0.5, 0.5, 2)
     corners = [np.array((x, y, -h)) for x in (-a, a) for y in (-b, b)]
     floor = [np.hstack([np.eye(3), -pin.skew(r), np.zeros((3, 6))]) for r in corners]
