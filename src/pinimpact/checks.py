@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,10 +23,14 @@ _DOUBLE = np.dtype(np.float64)
 
 def with_valid(template: T, **values: Any) -> T:
     """Return a copy of a frozen dataclass with other values of some fields, which are not checked."""
-    copy = object.__new__(type(template))
-    given = {field.name: template.__dict__[field.name] for field in fields(template)}  # type: ignore[arg-type]
-    copy.__dict__.update(given | values)
+    copy, given = object.__new__(type(template)), template.__dict__
+    copy.__dict__.update({name: given[name] for name in _field_names(type(template))} | values)
     return copy
+
+
+@cache
+def _field_names(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
 
 
 def real_numbers(field: str, value: Any, expected: str = "an array of real numbers") -> Array:

@@ -73,15 +73,14 @@ class ShapePair:
 
 
 def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
-    """Return a contact for each possible contact point of two shapes, initially far from any surface.
+    """Return a contact for each possible contact point of two shapes.
 
-    Their positions are set when the shapes touch; see `point_contacts`.
+    They have no position until the shapes touch; see `point_contact`.
     """
     pair = shape_pair(robot, contact)
     count = pair.most_points
-    far = Plane((0.0, 0.0, -FAR), name=pair.b.name)
     label = contact.label
-    first = replace(pair.basis, plane=far, pair=contact, name=label)
+    first = replace(pair.basis, plane=Plane(name=pair.b.name), pair=contact, name=label)
     return (first, *(_called(first, f"{label} {k + 1}") for k in range(1, count)))
 
 
@@ -188,16 +187,16 @@ class _Side:
     def __init__(self, shape: CarriedShape, data: pin.Data, basis: Contact) -> None:
         self.shape, self._basis = shape, basis
         self.radius, self.body = shape.shape.radius, shape.frame or None
-        self._to_frame = shape.in_frame * shape.in_joint.inverse() * data.oMi[shape.joint].inverse()
+        self._joint, self._in_frame = data.oMi[shape.joint], shape.joint_in_frame
 
     def place(self, point: Array) -> Vector:
         """Return a point of the world in the axes of the frame."""
-        x, y, z = self._to_frame.act(point).tolist()
+        x, y, z = self._in_frame.act(self._joint.actInv(point)).tolist()
         return x, y, z
 
     def turn(self, direction: Array) -> Vector:
         """Return a direction in the world in the axes of the frame."""
-        x, y, z = (self._to_frame.rotation @ direction).tolist()
+        x, y, z = (self._in_frame.rotation @ (self._joint.rotation.T @ direction)).tolist()
         return x, y, z
 
     def tip(self, point: Array, surface: Surface) -> Contact:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +31,11 @@ class CarriedShape:
     in_frame: pin.SE3  # placement of the shape in the frame's axes
     in_joint: pin.SE3  # placement of the shape in the joint's axes
     name: str
+
+    @cached_property
+    def joint_in_frame(self) -> pin.SE3:
+        """Placement of the joint in the frame's axes."""
+        return self.in_frame * self.in_joint.inverse()
 
     def placed(self, data: pin.Data) -> PlacedShape:
         """Return the shape at its placement, with ``data.oMi`` up to date."""

@@ -70,7 +70,6 @@ class FacingShapes:
         near: Gap below which patches are computed at any speed [m].
 
     Attributes:
-        idle: (n,) whether a contact is reserved for a pair and represents no corner now.
         boxes: Whether there are pairs of boxes, so that `place` evaluates the kinematics of the workspace.
     """
 
@@ -89,8 +88,6 @@ class FacingShapes:
         self._struck: dict[int, Contact] = {}
         work, every = self._work, shapes.places
         self._blanks, self._kept = shapes.blanks, shapes.reserved
-        self.idle = np.zeros(len(dynamics.contacts), dtype=bool)
-        self.idle[self._kept] = True
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
         self._ends = work.contact_joints[self._kept]
@@ -130,11 +127,10 @@ class FacingShapes:
         self._facing = FacingBoxes(used, np.zeros((count, 3)), points, others, kinds, np.zeros((count, 2, 3)))
 
     def clear(self) -> None:
-        """Set all reserved contacts idle."""
+        """Remove the corners from all reserved contacts."""
         self._end_impact()
         self._work.contact_constants[self._kept] = self._blanks[self._kept]
         self._work.contact_joints[self._kept] = self._ends
-        self.idle[self._kept] = True
         self._facing.used[:] = 0
         for places in self._pairs:
             places.used = 0
@@ -160,7 +156,7 @@ class FacingShapes:
         if self.boxes:
             face_boxes(
                 *(self._work, q, v, h, near, touching, self._joints, self._boxes, self._ranges),
-                *(self._blanks, self._rests, self.idle, self._facing),
+                *(self._blanks, self._rests, self._facing),
             )
             self._dynamics.check()
         found = self._facing
@@ -245,7 +241,6 @@ class FacingShapes:
                     self._strike(pair, i, found.normal, ends)
         for i in places.numbers[count : places.used]:
             work.contact_constants[i] = self._blanks[i]
-        self.idle[places.numbers] = np.arange(len(places.numbers)) >= count
         places.used = count
 
     def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array, Bools, Integers
-from ..geometry._kernels.constants import CONSTANTS
+from ..geometry._kernels.constants import ABSENT, CONSTANTS, KIND
 from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
 from ..robot.forest import Forest, data_of, inverse_mass
@@ -260,13 +260,12 @@ class SceneLayout:
 
     def _make_tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
         model, count = self._model, len(contacts)
-        parts, nowhere = [], None
-        for contact in contacts:
-            if contact.pair is None:
-                parts.append(contact_constants(model, contact))
-            else:  # reserved for a pair of shapes that does not touch yet
-                nowhere = nowhere or contact_constants(model, contact)
-                parts.append(nowhere)
+        nowhere = np.zeros(CONSTANTS)  # reserved for a pair of shapes that does not touch yet
+        nowhere[KIND] = ABSENT
+        parts = [
+            contact_constants(model, contact) if contact.pair is None else (0, 0, nowhere)
+            for contact in contacts
+        ]
         blocks: list[tuple[int, int, int]] = []
         spheres: list[Array] = []
         for first, stop in runs(contacts):

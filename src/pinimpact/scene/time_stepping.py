@@ -319,7 +319,7 @@ class TimeStepping(Integrator):
             placed: Whether the kinematics are those of this state already.
         """
         near, joints = self._near, self._rest.joints
-        return near[: near_rows(self.work, q, v, h, slack, self._faces.idle, joints, placed, near)]
+        return near[: near_rows(self.work, q, v, h, slack, joints, placed, near)]
 
     def _rows(
         self, q: Array, v: Array, h: float, slack: float, placed: bool, others: Integers = _NO_NUMBERS

@@ -15,7 +15,7 @@ from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape
 from ..geometry.tolerances import COINCIDE
-from ..robot.contact import Contact, contact_constants
+from ..robot.contact import contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ._kernels.contact_forces import FREE
@@ -109,7 +109,7 @@ class TouchingPoints:
         self.places = [(layout.pairs[contact], numbers) for contact, numbers in groups]
         self.reserved = np.array([i for _, numbers in groups for i in numbers], dtype=np.int64)
         self.blanks = work.contact_constants.copy()
-        self._open = list(dynamics.contacts), work.contact_joints[self.reserved]
+        self._open = tuple(dynamics.contacts)
 
     @cached_property
     def _data(self) -> Any:
@@ -185,9 +185,9 @@ class TouchingPoints:
 
     def clear(self) -> None:
         """Remove the contacts of all pairs."""
-        work, numbers, (contacts, joints) = self._work, self.reserved, self._open
-        self._dynamics.contacts[:] = contacts
-        work.contact_constants[numbers], work.contact_joints[numbers] = self.blanks[numbers], joints
+        work, numbers = self._work, self.reserved
+        self._dynamics.contacts[:] = self._open
+        work.contact_constants[numbers], work.contact_joints[numbers] = self.blanks[numbers], 0
         work.modes[numbers] = FREE
         self._state.touching = {}
 
@@ -248,7 +248,7 @@ class TouchingPoints:
             watched.update(points=points, normals=normals)
 
     def _point(self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
-        return point_contact(watched.pair, self._data, placed, normal, touch, self._open[0][i])
+        return point_contact(watched.pair, self._data, placed, normal, touch, self._open[i])
 
     # ---- points in contact
 
@@ -277,21 +277,16 @@ class TouchingPoints:
 
     def _assign(self, watched: Watched, i: int, point: PointContact, normal: Array) -> None:
         watched.update(points={**watched.points, i: point}, normals={**watched.normals, i: normal})
-        self._set_constants(i, point.lasting or point.instant)
-        self._dynamics.contacts[i] = point.instant
-
-    def _set_constants(self, i: int, contact: Contact) -> None:
-        """Set the constants of contact i in the workspace."""
-        tip, base, constants = contact_constants(self._model, contact)
+        tip, base, constants = contact_constants(self._model, point.lasting or point.instant)
         self._work.contact_constants[i], self._work.contact_joints[i] = constants, (tip, base)
+        self._dynamics.contacts[i] = point.instant
 
     def _remove(self, watched: Watched, i: int) -> None:
         """Remove the point of contact i."""
-        blank = self._open[0][i]
         points, normals = ({k: x for k, x in of.items() if k != i} for of in watched.now[:2])
         watched.update(points=points, normals=normals)
-        self._set_constants(i, blank)
-        self._dynamics.contacts[i] = blank
+        self._work.contact_constants[i], self._work.contact_joints[i] = self.blanks[i], 0
+        self._dynamics.contacts[i] = self._open[i]
         self._work.modes[i] = FREE
 
     def review(self) -> None:

@@ -23,3 +23,6 @@ point."""
 
 SOLID = -1
 """Code of surfaces that kernels do not support."""
+
+ABSENT = -2
+"""Code of the contacts reserved for two shapes while these do not touch. Their gap is infinite."""

@@ -11,7 +11,7 @@ from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign, filled
 from ..._numeric.semidefinite import solve_definite
-from ...geometry._kernels.constants import RADIUS
+from ...geometry._kernels.constants import ABSENT, KIND, RADIUS
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
@@ -79,7 +79,7 @@ def contact_gaps(work, found, spheres):
 
     The gap of a contact whose sphere is farther from the surface than `FAR` is set to infinity.
     """
-    blocks, constants = work.contact_blocks, work.sphere_constants
+    blocks, constants, contacts = work.contact_blocks, work.sphere_constants, work.contact_constants
     compute_kinematics(work)
     for b in range(len(blocks)):
         first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
@@ -88,7 +88,7 @@ def contact_gaps(work, found, spheres):
             spheres[k, 0], spheres[k, 1] = sphere_gap(work, k, first)
             far = spheres[k, 0] > FAR * constants[k, RADIUS]
         for i in range(first, stop):
-            if far:
+            if far or contacts[i, KIND] == ABSENT:
                 found[i, 0], found[i, 1] = math.inf, 0.0
             else:
                 found[i, 0], found[i, 1] = contact_gap(work, i)

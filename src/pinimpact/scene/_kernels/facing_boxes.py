@@ -119,10 +119,10 @@ class FacingBoxes(NamedTuple):
 
 @declared(
     *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-    *(FLAGS, FLAGS, FacingBoxes),
+    *(FLAGS, FacingBoxes),
 )
 @jit
-def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, idle, facing):
+def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, facing):
     """Fill the contacts reserved for pairs of boxes with the corners of their patches.
 
     Args:
@@ -136,7 +136,6 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
         pairs: (p, 4) the two boxes, the first contact reserved for them, and the number of these.
         blanks: (contacts, constants) constants of unused contacts.
         rests: (nj,) joints at rest, including the world; pairs of these keep their patches.
-        idle: (contacts,) is overwritten with whether each contact is unused.
         facing: The `FacingBoxes`, which is updated.
     """
     used, normals, points, others, kinds, edges = facing
@@ -165,8 +164,6 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
                 *(work.contact_constants[first + k], work.placements[joints[a]], work.placements[joints[b]]),
                 *(normals[p], points[p, k], others[p, k], kinds[p, k], edges[p], 0.0, 0.0),
             )
-        for k in range(room):
-            idle[first + k] = k >= found
         for k in range(found, used[p]):
             assign(work.contact_constants[first + k], blanks[first + k])
         used[p] = min(found, room)

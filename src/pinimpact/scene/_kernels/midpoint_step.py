@@ -12,7 +12,7 @@ from ..._numeric.augmented_newton import VelocityProblem, rates
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric
 from ..._numeric.tolerances import NOISE, SETTLED, SOFTEST
-from ...geometry._kernels.constants import RADIUS
+from ...geometry._kernels.constants import ABSENT, KIND, RADIUS
 from .dynamics import (
     CONTROL,
     FAR,
@@ -35,9 +35,9 @@ from .tolerances import STEPS_GAIN
 from .workspace import SceneWorkspace
 
 
-@declared(SceneWorkspace, FLOATS, FLOATS, float, float, FLAGS, FLAGS, bool, INTEGERS, result=int)
+@declared(SceneWorkspace, FLOATS, FLOATS, float, float, FLAGS, bool, INTEGERS, result=int)
 @jit
-def near_rows(work, q, v, h, slack, idle, rests, placed, near):
+def near_rows(work, q, v, h, slack, rests, placed, near):
     """Fill the numbers of the contacts and limits that may close within a step; return their number.
 
     Args:
@@ -46,7 +46,6 @@ def near_rows(work, q, v, h, slack, idle, rests, placed, near):
         v: (nv,) velocity.
         h: Length of the step [s].
         slack: Closing of gaps in addition to their rates [m].
-        idle: (n,) contacts reserved for shapes that are apart.
         rests: (nj,) joints that are at rest, including the world.
         placed: Whether the kinematics are already those of this state.
         near: (n + nl,) is overwritten with the numbers: contacts other than held ones, then n + limit.
@@ -54,7 +53,7 @@ def near_rows(work, q, v, h, slack, idle, rests, placed, near):
     if not placed:
         set_state(work, q, v)
         compute_kinematics(work)
-    blocks, ends, count = work.contact_blocks, work.contact_joints, 0
+    blocks, ends, constants, count = work.contact_blocks, work.contact_joints, work.contact_constants, 0
     for b in range(len(blocks)):
         first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
         if k >= 0 and not (rests[ends[first, 0]] and rests[ends[first, 1]]):
@@ -62,7 +61,9 @@ def near_rows(work, q, v, h, slack, idle, rests, placed, near):
             if gap > FAR * work.sphere_constants[k, RADIUS]:
                 continue
         for i in range(first, stop):
-            if not idle[i] and work.bilateral[i] == 0 and not (rests[ends[i, 0]] and rests[ends[i, 1]]):
+            if constants[i, KIND] == ABSENT or work.bilateral[i] != 0:
+                continue
+            if not (rests[ends[i, 0]] and rests[ends[i, 1]]):
                 gap, rate = contact_gap(work, i)
                 if gap + 0.5 * h * rate <= slack:
                     near[count] = i
