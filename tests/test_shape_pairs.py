@@ -536,3 +536,28 @@ def test_balls_that_slide_without_friction_collide_where_they_meet(restitution, 
     after = 0.5 * (1.0 + restitution) * 2.0 * normal[0] * normal
     assert run.v[-1][6:8] == pytest.approx(after, abs=1e-9)
     assert run.v[-1][:2] == pytest.approx([2.0, 0.0] - after, abs=1e-9)
+
+
+def test_faces_that_slide_on_each_other_do_not_limit_steps():
+    """Two free boxes, pressed together, slide and turn on each other; the contacts are eight crossing edges.
+
+    The rows of these contacts are redundant, but contradict each other in stages of steps.
+    """
+    robot = two_bodies(coal.Box(0.2, 0.2, 0.2), coal.Box(0.2, 0.2, 0.2))
+    q0 = np.concatenate([pose(0.0, 0.0, 0.0), pose(0.0, 0.0, 0.2, yaw=0.3)])
+    v0 = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 3.0])
+
+    def press(t, q, v):
+        axis = pin.Quaternion(q[3:7]).matrix()[:, 2]
+        forces = np.zeros(12)
+        forces[2], forces[6:9] = 10.0, -10.0 * pin.Quaternion(q[10:14]).matrix().T @ axis
+        return forces
+
+    scene = Scene(robot, Contact(geometry="b", plane=Shape("a"), friction=0.5), control=press)
+    ends = [
+        simulate(scene, q0, v0, 0.01, **options) for options in ({}, {"scheme": "time-stepping", "dt": 1e-4})
+    ]
+    assert ends[0].statistics["steps"] + ends[0].statistics["rejected"] < 20
+    np.testing.assert_allclose(ends[0].v[-1], ends[1].v[-1], atol=1e-4)
+    before, after = (momentum(robot, ends[0].q[k], ends[0].v[k])[:3] for k in (0, -1))
+    np.testing.assert_allclose(after, before, atol=1e-9)

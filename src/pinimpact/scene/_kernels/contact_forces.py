@@ -17,7 +17,7 @@ from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
 from ..._numeric.tolerances import ROUNDOFF
-from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, ROUNDED, SINGULAR_STILL, WEIGHTLESS
+from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, ROUNDED, WEIGHTLESS
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
@@ -214,6 +214,9 @@ def solve_least_norm(work):
     removed, and with slip against friction forces of stops and joints beyond their bounds are set to these,
     as long as the remaining rows can satisfy the equations.
 
+    The rank is decided where a motion begins. In the stages of a step redundant rows contradict each other by
+    the error of the stage, which only very large forces would satisfy.
+
     Returns:
         Whether the solution is unique.
     """
@@ -226,15 +229,14 @@ def solve_least_norm(work):
         right[a] = target[a]
         for b in range(size):
             right[a] -= system[a, b] * known[b]
-    work.rank_tolerance = SINGULAR_STILL
-    unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
+    unique = least_norm(system, right, work.rank_tolerance, solution, no_basis) == size
     shares = not unique and slips_with_friction(work)
     if shares:
-        share_by_compliances(system, SINGULAR_STILL, solution)
+        share_by_compliances(system, work.rank_tolerance, solution)
     for a in range(size):
         solution[a] += known[a]
     residual = relative_residual(work, solution)
-    if residual > NEGLIGIBLE:
+    if residual > NEGLIGIBLE and not work.within_step:
         # keep rows of small inverse inertia too, although their forces may be large
         least_norm(system, right, FINEST, trial, no_basis)
         for a in range(size):

@@ -262,6 +262,8 @@ def add_forces(work, out):
     if not math.isfinite(total):  # a stage of too long a step, which will be rejected
         filled(out, math.nan)
         return
+    if not work.within_step:
+        work.rank_tolerance = SINGULAR_STILL
     orientation, friction = 0, contact_forces.slips_with_friction(work)
     if friction:
         rank = RANK if work.forces_unique else SINGULAR_STILL
