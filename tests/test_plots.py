@@ -118,7 +118,7 @@ def test_paths_are_monotonic_and_end_at_the_solution() -> None:
         w, start = np.asarray(problem.delassus), np.asarray(problem.velocity)
         size, largest = np.abs(path.velocity).max(), solution.impulse[2]
         assert np.isfinite(path.velocity).all()
-        assert (np.diff(path.normal_impulse) >= 0.0).all()
+        assert np.diff(path.normal_impulse).min() >= -1e-15 * largest
         np.testing.assert_allclose(path.impulse[-1], solution.impulse, atol=1e-12 * largest)
         np.testing.assert_allclose(path.velocity[-1], solution.velocity, atol=1e-12 * size)
         np.testing.assert_allclose(path.velocity, start + path.impulse @ w, atol=1e-9 * size)

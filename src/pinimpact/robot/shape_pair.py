@@ -80,7 +80,8 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
     pair = shape_pair(robot, contact)
     count = pair.most_points
     label = contact.label
-    first = replace(pair.basis, plane=Plane(name=pair.b.name), pair=contact, name=label)
+    far = Plane((0.0, 0.0, -FAR), name=pair.b.name)
+    first = replace(pair.basis, plane=far, pair=contact, name=label)
     return (first, *(_called(first, f"{label} {k + 1}") for k in range(1, count)))
 
 
