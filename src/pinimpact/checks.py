@@ -23,8 +23,9 @@ _DOUBLE = np.dtype(np.float64)
 
 def with_valid(template: T, **values: Any) -> T:
     """Return a copy of a frozen dataclass with other values of some fields, which are not checked."""
-    copy, given = object.__new__(type(template)), template.__dict__
-    copy.__dict__.update({name: given[name] for name in _field_names(type(template))} | values)
+    kind: Any = type(template)
+    copy, given = object.__new__(kind), template.__dict__
+    copy.__dict__.update({name: given[name] for name in _field_names(kind)} | values)
     return copy
 
 
