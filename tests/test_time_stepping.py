@@ -13,7 +13,7 @@ from scipy.optimize import root
 
 import pinimpact
 from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate, solve_impact
-from pinimpact._numeric.augmented_newton import VelocityProblem
+from pinimpact._numeric.augmented_newton import Law, VelocityProblem
 from pinimpact._numeric.tolerances import SOFTEST
 from pinimpact.geometry._kernels.box_patch import box_patch
 from pinimpact.geometry.convex_shape import box
@@ -606,7 +606,9 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=Non
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     tree = np.zeros(m, dtype=np.int64)
-    problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, mu, none, none, compliance)
+    nc = len(mu)
+    law = Law(mu, np.zeros((nc, 2)), np.zeros(nc), np.zeros(nc, dtype=bool), none, none)
+    problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, law, compliance)
     return step_impulses(
         *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11),
         *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),

@@ -46,7 +46,7 @@ def fill_compliances(problem, part, diagonal, given):
     The largest r of a contact is `part` times the largest diagonal entry of W of contacts; without contacts r
     is in proportion to the diagonal. The diagonal of rows that no impulse moves is replaced by the largest.
     """
-    _, inverse, _, values, columns, counts, _, _, _, _, compliance = problem
+    _, inverse, _, values, columns, counts, _, _, compliance = problem
     nc, n, softest, largest = len(compliance), len(given), 0.0, 0.0
     for a in range(n):
         diagonal[a] = 0.0
@@ -70,6 +70,15 @@ def fill_compliances(problem, part, diagonal, given):
 
 
 @inlined
+def iterate_of(problem, w, f):
+    """Return an `Iterate` with arrays w (m,) and f (n,), the others uninitialized."""
+    m, scale = len(w), np.empty(len(w))
+    for a in range(m):
+        scale[a] = 1.0 / math.sqrt(problem.mass[a, a])
+    return Iterate(w, np.empty(len(f)), f, np.empty(m), np.empty(m), scale)
+
+
+@inlined
 def residual_of(problem, diagonal, x, now):
     """Fill an `Iterate` with w = M⁻¹ Jᵀ x and its u and f⁺; return the residual of Coulomb's law [m/s].
 
@@ -84,7 +93,7 @@ def residual_of(problem, diagonal, x, now):
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += problem.free[a]
-    impulses(u, x, problem.friction, problem.lower, problem.upper, diagonal, f)
+    impulses(problem.law, u, x, diagonal, f)
     worst = total = 0.0
     for a in range(len(u)):
         part = diagonal[a] * abs(f[a] - x[a])
@@ -177,22 +186,22 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
     Returns:
         The residual of the law relative to u_free; infinite if the iteration has diverged.
     """
-    free = problem.free
+    free, least = problem.free, problem.law.least
     n, m, size = len(free), len(w), 0.0
+    diagonal, r, f = np.empty(n), np.empty(n), np.empty(n)
+    fill_compliances(problem, part, diagonal, r)
     for a in range(n):
         x[a] = 0.0
         size = max(size, abs(free[a]))
+    for i in range(len(least)):
+        size = max(size, diagonal[3 * i + 2] * least[i])
     if size * size < TINY:  # or else squares of velocities underflow
         for a in range(m):
             w[a] = begin[a] = 0.0
         return 0.0
     profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     find_profile(problem, *profile)
-    diagonal, r, f = np.empty(n), np.empty(n), np.empty(n)
-    fill_compliances(problem, part, diagonal, r)
-    now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m), np.empty(m))
-    for a in range(m):
-        now.scale[a] = 1.0 / math.sqrt(problem.mass[a, a])
+    now = iterate_of(problem, w, f)
     assign(w, begin)
     iterate(problem, profile, r, accuracy, size, begin, x, course, now)
     return residual_of(problem, diagonal, x, now) / size

@@ -5,11 +5,12 @@ computes from impulses f the next ones, f⁺, by
 
     f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺.                                                 (16.3)
 
-r > 0 is a compliance for each contact or row. For a contact
+r > 0 is a compliance for each contact or row. For a contact with the least normal impulse l, mostly zero,
 
-    P(z) = (Π_ρ(z_t), [z_n]₊),   ρ = μ [z_n]₊,                                                          (16.4)
+    P(z) = (Π_ρ(z_t), p),   p = max(z_n, l),   ρ = μ p,                                                 (16.4)
 
-where Π_ρ is the projection onto the disc of radius ρ; for a scalar row P is the projection onto its bounds.
+where Π_ρ is the projection onto the disc of radius ρ, or −ρσ for a contact that slides in the direction σ.
+For a held contact P(z) = z; for a scalar row P is the projection onto its bounds.
 Newton's method with a line search solves (16.3) for w in a few steps. Its matrix has the size of w, with
 zeros for bodies that are not in contact. The iteration is in `augmented_lagrangian`.
 """
@@ -21,9 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FloatRows, Floats, IntegerRows, Integers
+from .._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
+from .loops import flags
 from .products import dot
 from .profile import apply_within, eliminate_profile, substitute_profile
 from .tolerances import TINY
@@ -41,6 +43,24 @@ SLOPE = 0.1
 """Slope at the end of a line search relative to that at its start."""
 
 
+class Law(NamedTuple):
+    """Coulomb's law and bounds for nc contacts and ns scalar rows."""
+
+    friction: Floats  # (nc,) coefficients of friction
+    slip: FloatRows  # (nc, 2) slip velocities of sliding contacts; zero for contacts that can stick
+    least: Floats  # (nc,) least normal impulses, at least zero
+    held: Flags  # (nc,) contacts whose impulses have no bounds
+    lower: Floats  # (ns,) lower bounds of scalar impulses
+    upper: Floats  # (ns,) upper bounds of scalar impulses
+
+
+@inlined
+def law_of_steps(friction, lower, upper):
+    """Return the `Law` of contacts that can stick and open; see there."""
+    nc = len(friction)
+    return Law(friction, np.zeros((nc, 2)), np.zeros(nc), flags(nc, False), lower, upper)
+
+
 class VelocityProblem(NamedTuple):
     """A contact problem of nc contacts, three rows (t₁, t₂, n) each, and ns scalar rows, in m velocities."""
 
@@ -51,9 +71,7 @@ class VelocityProblem(NamedTuple):
     columns: IntegerRows  # (n, …) their columns, in ascending order
     counts: Integers  # (n,) their numbers
     free: Floats  # (n,) u_free, velocities without impulses
-    friction: Floats  # (nc,) coefficients of friction
-    lower: Floats  # (ns,) lower bounds of scalar impulses
-    upper: Floats  # (ns,) upper bounds of scalar impulses
+    law: Law
     compliance: Floats  # (nc,) compliances of contacts relative to those of scalar rows
 
 
@@ -93,15 +111,22 @@ def length(x, y):
 
 
 @external
-def impulses(u, before, mu, lower, upper, r, out):
+def impulses(law, u, before, r, out):
     """Fill out (n,) with f⁺ = P(f − u/r) of (16.3), f = `before` (n,)."""
+    mu, slip, least, held, lower, upper = law
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
     for i in range(nc):
         j = 3 * i
-        out[j + 2] = max(out[j + 2], 0.0)
-        size, radius = length(out[j], out[j + 1]), mu[i] * out[j + 2]
+        if held[i]:
+            continue
+        out[j + 2] = max(out[j + 2], least[i])
+        radius, speed = mu[i] * out[j + 2], length(slip[i, 0], slip[i, 1])
+        if speed > 0.0:
+            out[j], out[j + 1] = -radius * slip[i, 0] / speed, -radius * slip[i, 1] / speed
+            continue
+        size = length(out[j], out[j + 1])
         if size > radius:
             out[j] *= radius / size
             out[j + 1] *= radius / size
@@ -110,22 +135,35 @@ def impulses(u, before, mu, lower, upper, r, out):
 
 
 @inlined
-def fill_derivative(z1, z2, z3, mu, coupled, d):
-    """Fill d (3, 3) with ∂P/∂z of a closed contact, without ∂ρ/∂z_n unless `coupled`. (16.4)"""
+def fill_derivative(law, i, z1, z2, z3, coupled, d):
+    """Fill d (3, 3) with ∂P/∂z of contact i at z = (z1, z2, z3); return True instead if it is zero. (16.4)
+
+    ∂ρ/∂z_n is left out unless `coupled`.
+    """
+    mu, least = law.friction[i], law.least[i]
+    closed = z3 > least or law.held[i]
+    if not closed and least == 0.0:
+        return True
     for a in range(3):
         for b in range(3):
             d[a, b] = 0.0
-    d[2, 2] = 1.0
-    size, radius = length(z1, z2), mu * z3
-    if size <= radius:  # sticks
+    d[2, 2] = 1.0 if closed else 0.0
+    radius, speed = mu * max(z3, least), length(law.slip[i, 0], law.slip[i, 1])
+    if speed > 0.0 and not law.held[i]:
+        if coupled and closed:
+            d[0, 2], d[1, 2] = -mu * law.slip[i, 0] / speed, -mu * law.slip[i, 1] / speed
+        return False
+    size = length(z1, z2)
+    if size <= radius or law.held[i]:  # sticks
         d[0, 0] = d[1, 1] = 1.0
-        return
+        return False
     s1, s2 = z1 / size, z2 / size
     part = radius / size
     d[0, 0], d[1, 1] = part * s2 * s2, part * s1 * s1
     d[0, 1] = d[1, 0] = -part * s1 * s2
-    if coupled:
+    if coupled and closed:
         d[0, 2], d[1, 2] = mu * s1, mu * s2
+    return False
 
 
 @external
@@ -141,9 +179,9 @@ def fill_system(problem, profile, r, u, before, coupled, system):
         coupled: Whether ∂ρ/∂z_n is included; without it the matrix is symmetric and positive definite.
         system: (m, m) is overwritten.
     """
-    mass, _, start, values, columns, counts, _, mu, lower, upper, _ = problem
+    mass, _, start, values, columns, counts, _, law, _ = problem
     first, last = profile
-    m, nc = len(mass), len(mu)
+    m, nc, lower, upper = len(mass), len(law.friction), law.lower, law.upper
     d = np.empty((3, 3))
     for a in range(m):
         for b in range(first[a], last[a] + 1):
@@ -153,15 +191,14 @@ def fill_system(problem, profile, r, u, before, coupled, system):
             system[a, b] = system[b, a] = mass[a, b]
     for i in range(nc):
         j = 3 * i
-        z3 = before[j + 2] - u[j + 2] / r[j]
-        if z3 <= 0.0:
+        z1, z2, z3 = before[j] - u[j] / r[j], before[j + 1] - u[j + 1] / r[j], before[j + 2] - u[j + 2] / r[j]
+        if fill_derivative(law, i, z1, z2, z3, coupled, d):
             continue
-        fill_derivative(before[j] - u[j] / r[j], before[j + 1] - u[j + 1] / r[j], z3, mu[i], coupled, d)
         for k in range(counts[j]):
             j0, j1, j2 = values[j, k] / r[j], values[j + 1, k] / r[j], values[j + 2, k] / r[j]
             t0 = j0 * d[0, 0] + j1 * d[1, 0]
             t1 = j0 * d[0, 1] + j1 * d[1, 1]
-            t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2
+            t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2 * d[2, 2]
             row = system[columns[j, k]]
             for o in range(counts[j]):
                 row[columns[j, o]] += t0 * values[j, o] + t1 * values[j + 1, o] + t2 * values[j + 2, o]
@@ -179,13 +216,13 @@ def evaluate(problem, r, before, now):
 
     Momenta are scaled by 1/√M_aa. Other arguments are those of `fill_system`.
     """
-    mass, _, start, values, columns, counts, free, mu, lower, upper, _ = problem
+    mass, _, start, values, columns, counts, free, law, _ = problem
     w, u, f, momentum, out, scale = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += free[a]
-    impulses(u, before, mu, lower, upper, r, f)
+    impulses(law, u, before, r, f)
     apply_within(mass, start, w, momentum)
     for a in range(len(out)):
         out[a] = momentum[a]
@@ -208,7 +245,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
     Without ∂ρ/∂z_n this is the minimum of a convex function along d. `now` is the `Iterate` at t = 0, whose f
     is overwritten; du (n,) is J d, slope dᵀM w, curvature dᵀM d; other arguments as in `fill_system`.
     """
-    mu, lower, upper, u, f = problem.friction, problem.lower, problem.upper, now.u, now.f
+    law, u, f = problem.law, now.u, now.f
     trial = np.empty(len(u))
     start = slope - dot(du, f)
     if not start < 0.0:
@@ -217,7 +254,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
     for k in range(STEPS):
         for a in range(len(u)):
             trial[a] = u[a] + share * du[a]
-        impulses(trial, before, mu, lower, upper, r, f)
+        impulses(law, trial, before, r, f)
         here = slope + share * curvature - dot(du, f)
         if abs(here) <= SLOPE * abs(start) or (k == 0 and here <= 0.0):
             break

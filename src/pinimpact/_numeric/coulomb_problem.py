@@ -9,155 +9,50 @@ opposite to its given direction of slip σ, for any u_t. With De Saxcé's s = μ
 complementarity problem: f in K and u + s n in the dual cone; for sliding contacts K is a half-line and
 s = μ σ·u_t.
 
-The alternating direction method of multipliers approaches a solution (J. Carpentier, Q. Le Lidec, L. Montaut,
-From compliant to rigid contact simulation, RSS 2024); Newton's method on the active set then converges to
-rounding.
+The method of augmented Lagrangians approaches a solution, see `augmented_newton`; Newton's method on the
+active set then converges to rounding.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Flags, FloatRows, Floats, declared
+from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
-from .cone_program import cholesky, substitute
-from .elimination import largest_of
+from .augmented_lagrangian import FINER, ITERATIONS, QUICK, fill_compliances, iterate_of
+from .augmented_newton import Law, VelocityProblem, find_profile, solve_compliances
+from .elimination import solve
 from .least_norm import least_norm
-from .loops import assign, flags, repeated
+from .loops import assign, filled, repeated
 from .products import apply
-from .tolerances import COMPLIANCE, COMPUTED, EXACT, NEAR, ROUNDOFF, SMALL, TINY
+from .semidefinite import factor
+from .tolerances import COMPUTED, EXACT, HALF_DIGITS, RANK, ROUNDING, ROUNDOFF, SMALL, UNDETERMINED
 from .tolerances import USABLE as USABLE  # re-exported
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
 """Types of W, u_free, slip velocities, friction, least normal forces, held, lower, upper bounds, forces."""
 
-ITERATIONS = 2000
-"""Largest number of iterations of the method of multipliers."""
-
-PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
-"""Initial penalty ρ (rows are scaled to a diagonal of one), the factor by which it changes, and the ratio of
-the residuals of f = y and of u above which it changes."""
-
-LONG = 500
-"""Number of iterations after which Newton's method is tried at any residual, and not only below `NEAR`."""
+LARGEST = 10.0
+"""Largest r tried, relative to the largest diagonal entry of W."""
 
 POLISH = 8
 """Largest number of steps of Newton's method per trial."""
-
-SOFTER = 1e-2, 1e-3, 1e-4, 2.0 * SMALL
-"""Successive compliances, relative to the largest diagonal entry of W, where the smallest one does not
-converge from the given start: the largest one determines which forces are at their bounds."""
 
 AS_FORCES_SAY = np.int64(-1)
 """State of a contact in `linearize`: open or closed as its force and acceleration imply."""
 
 
-@inlined
-def into_cone(x, b, mu, least, directions, slides):
-    """Project the force x[b : b + 3] onto its cone, or half-line if it slides, with x[b + 2] ≥ least."""
-    k = b // 3
-    if slides:
-        s1, s2 = directions[k, 0], directions[k, 1]
-        push = max(least, (x[b + 2] - mu * (s1 * x[b] + s2 * x[b + 1])) / (1.0 + mu * mu))
-        x[b], x[b + 1], x[b + 2] = -mu * push * s1, -mu * push * s2, push
-        return
-    length, push = math.hypot(x[b], x[b + 1]), x[b + 2]
-    if length > mu * push:  # on the cone's surface, or at its tip
-        push = max(0.0, (mu * length + push) / (1.0 + mu * mu))
-    push = max(push, least)
-    if length > mu * push:
-        x[b], x[b + 1] = x[b] * mu * push / length, x[b + 1] * mu * push / length
-    x[b + 2] = push
-
-
-class Scaled(NamedTuple):
-    """The problem scaled by `scale`."""
-
-    w: FloatRows  # (3 nc + ns, 3 nc + ns) W
-    rates: Floats  # (3 nc + ns,) u_free
-    mu: Floats  # (nc,) coefficients of friction
-    held: Flags  # (nc,) contacts without bounds
-    slides: Flags  # (nc,) contacts that slide
-    directions: FloatRows  # (nc, 2) of their slip
-    low: Floats  # (nc + ns,) least normal forces and lower bounds
-    high: Floats  # (ns,) upper bounds
-
-
-@inlined
-def _scaled(delassus, free, velocity, mu, least, held, lower, upper, d, scale_a, scale_f):
-    """Return the `Scaled` problem for the scales of `scale`."""
-    nc, ns, size = len(mu), len(lower), len(free)
-    w, rates = np.empty((size, size)), np.empty(size)
-    for a in range(size):
-        rates[a] = scale_a[a] * free[a]
-        for b in range(size):
-            w[a, b] = d[a] * delassus[a, b] * d[b]
-    directions, slides = np.zeros((nc, 2)), flags(nc, False)
-    low, high = np.empty(nc + ns), np.empty(ns)
-    for i in range(nc):
-        low[i] = least[i] / scale_f[3 * i + 2]
-        speed = math.hypot(velocity[i, 0], velocity[i, 1])
-        slides[i] = speed > 0.0 and mu[i] > 0.0 and not held[i]
-        if slides[i]:
-            directions[i, 0], directions[i, 1] = velocity[i, 0] / speed, velocity[i, 1] / speed
-    for i in range(ns):
-        low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
-    return Scaled(w, rates, mu, held, slides, directions, low, high)
-
-
-@inlined
-def _fill_factor(w, penalty, factor):
-    """Fill the Cholesky factor of W + (ρ + ε) 1 for the penalty ρ."""
-    for a in range(len(w)):
-        for b in range(a + 1):
-            factor[a, b] = w[a, b]
-        factor[a, a] += penalty + COMPLIANCE
-    cholesky(factor)
-
-
-@inlined
-def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
-    """Take a step of the method of multipliers; return the residuals of f = y and of u.
-
-    Forces f, their projections y and multipliers z are (3 nc + ns,), De Saxcé's s, `shift`, is (nc,); all are
-    updated. `factor` is that of `_fill_factor`.
-    """
-    nc, mu, held, directions = len(shift), scaled.mu, scaled.held, scaled.directions
-    apart = moved = 0.0
-    for a in range(len(f)):
-        f[a] = COMPLIANCE * f[a] + z[a] + penalty * y[a] - scaled.rates[a]
-    for i in range(nc):
-        f[3 * i + 2] -= shift[i]
-    substitute(factor, f)
-    before = y.copy()
-    for a in range(len(f)):
-        y[a] = f[a] - z[a] / penalty
-    for i in range(nc):
-        if not held[i]:
-            into_cone(y, 3 * i, mu[i], scaled.low[i], directions, scaled.slides[i])
-    for a in range(3 * nc, len(f)):
-        y[a] = min(max(y[a], scaled.low[a - 2 * nc]), scaled.high[a - 3 * nc])
-    for a in range(len(f)):
-        z[a] += penalty * (y[a] - f[a])
-        apart, moved = max(apart, abs(f[a] - y[a])), max(moved, penalty * abs(y[a] - before[a]))
-    for i in range(nc):
-        b, last = 3 * i, shift[i]
-        if scaled.slides[i]:
-            shift[i] = mu[i] * (directions[i, 0] * z[b] + directions[i, 1] * z[b + 1])
-        elif not held[i]:
-            shift[i] = mu[i] * math.hypot(z[b], z[b + 1])
-        moved = max(moved, abs(shift[i] - last))
-    return apart, moved
-
-
 @declared(*SYSTEM, result=float)
 @external
 def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
-    """Solve a contact problem for forces x, starting from the given x, or zero if its residual is smaller.
+    """Solve a contact problem for forces x.
+
+    Newton's method starts from each iterate of (16.3) until it converges, preferably to forces whose
+    equations have no negative determinant. The compliances r decrease where the iterates converge slowly, and
+    increase where (16.3) is not solved.
 
     Args:
         delassus: (m, m) W for nc contacts (t₁, t₂, n), then ns scalar rows; m = 3 nc + ns.
@@ -168,53 +63,43 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         held: (nc,) contacts whose forces have no bounds.
         lower: (ns,) lower bounds of scalar forces, which may be infinite.
         upper: (ns,) upper bounds.
-        x: (m,) initial forces; overwritten with the solution.
+        x: (m,) is overwritten with the solution.
 
     Returns:
         The residual of the law relative to u_free; above `tolerances.USABLE` if no solution was found.
     """
-    nc, size = len(mu), len(free)
     system = delassus, free, velocity, mu, least, held, lower, upper
-    d, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    loads = np.empty(size)  # magnitude of u, also where u_free is zero and only `least` acts
-    for a in range(size):
-        loads[a] = abs(free[a])
-        for i in range(nc):
-            loads[a] += abs(delassus[a, 3 * i + 2]) * least[i]
-    if scale(delassus, loads, nc, d, scale_a, scale_f) == 0.0:
-        for a in range(size):
-            x[a] = 0.0
-        return 0.0
-    scales = a_now, scale_a, scale_f
-    scaled = _scaled(*system, d, scale_a, scale_f)
-    f, y, z, shift = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(nc)
-    if not residual(*system, x, *scales) <= residual(*system, f, *scales):
-        assign(x, f)
-    for a in range(size):
-        y[a] = f[a] = x[a] / scale_f[a]
-    factor, penalty, changed, next_try = np.empty((size, size)), PENALTY, True, 0
-    trial, best = x.copy(), math.inf
-    for iteration in range(ITERATIONS + 1):
-        answer_signals()
-        if iteration == next_try:
-            next_try = min(iteration + max(4, iteration // 4), ITERATIONS)
-            for a in range(size):
-                trial[a] = y[a] * scale_f[a]
-            now, before = residual(*system, trial, *scales), math.inf
-            while EXACT < now < 0.5 * before and (before < math.inf or now <= NEAR or iteration >= LONG):
-                before = now
-                now = newton(*system, trial, *scales)
-            if now < best:
-                best = now
-                assign(x, trial)
-            if best <= COMPUTED:
+    problem, size = velocity_problem(*system, np.ones(len(mu))), len(x)
+    m = len(problem.mass)
+    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    find_profile(problem, *profile)
+    now = iterate_of(problem, np.zeros(m), np.empty(size))
+    f, trial, r, matrix = np.zeros(size), np.empty(size), np.empty(size), np.empty((m, m))
+    part, last, best = 1.0, math.inf, math.inf
+    for _ in range(ITERATIONS):
+        fill_compliances(problem, part, np.empty(size), r)
+        _, solved = solve_compliances(problem, profile, r, f, ROUNDING, now, matrix, False)
+        if not solved:
+            part /= FINER
+            if part > LARGEST:
                 break
-        if changed:
-            _fill_factor(scaled.w, penalty, factor)
-        apart, moved = _multipliers_step(scaled, penalty, factor, f, y, z, shift)
-        changed = iteration % 10 == 9 and (apart > IMBALANCE * moved or moved > IMBALANCE * apart)
-        if changed:
-            penalty *= FACTOR if apart > moved else 1.0 / FACTOR
+            continue
+        change = 0.0
+        for a in range(size):
+            change = max(change, r[a] * abs(now.f[a] - f[a]))
+            f[a] = trial[a] = now.f[a]
+        if change > QUICK * last and part > HALF_DIGITS:  # or else f grows until u is lost in rounding
+            part *= FINER
+        last = change
+        error = polish(*system, trial)
+        if not (error < best or error <= USABLE):
+            continue
+        lasts = error <= USABLE and orientation(*system, trial) >= 0
+        if lasts or best > USABLE:
+            best = error
+            assign(x, trial)
+        if lasts:
+            break
     return best
 
 
@@ -223,36 +108,74 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
 def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
     """Solve as `solve_coulomb`; of several solutions compute the limit of small compliances. (11.12)
 
-    With W + ε C in place of W solutions are isolated. Those for two values of ε are extrapolated to ε = 0,
-    where Newton's method converges to the nearest solution. If the first one is not found, solutions for
-    decreasing larger ε lead to it. C is diagonal, up to a factor `compliance` (nc,) for the rows of contacts
-    and 1 for scalar rows. The initial x should have the symmetry of the problem.
+    The solutions of (16.3) from f = 0 for r = 2ε C and r = ε C are extrapolated to ε = 0, where Newton's
+    method converges to the nearest solution. C is diagonal, up to a factor `compliance` (nc,) for the rows
+    of contacts and 1 for scalar rows.
     """
-    size, unit = len(free), 0.0
-    for a in range(3 * len(mu)):
-        unit = max(unit, delassus[a, a])
-    unit /= max(largest_of(compliance, 0), TINY)
-    system = free, velocity, mu, least, held, lower, upper
-    soft, far, start = delassus.copy(), np.empty(size), x.copy()
-    soften(delassus, 2.0 * SMALL * unit, compliance, soft)
-    if solve_coulomb(soft, *system, x) > USABLE:
-        assign(x, start)
-        for part in SOFTER:
-            soften(delassus, part * unit, compliance, soft)
-            solve_coulomb(soft, *system, x)
-    assign(far, x)
-    soften(delassus, SMALL * unit, compliance, soft)
-    solve_coulomb(soft, *system, x)
-    for a in range(size):
-        x[a] += x[a] - far[a]
-    return solve_coulomb(delassus, *system, x)
+    system, size = (delassus, free, velocity, mu, least, held, lower, upper), len(free)
+    problem = velocity_problem(*system, compliance)
+    m = len(problem.mass)
+    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    find_profile(problem, *profile)
+    now = iterate_of(problem, np.zeros(m), np.empty(size))
+    none, r, matrix, solved = np.zeros(size), np.empty(size), np.empty((m, m)), True
+    for part in (2.0, 1.0):
+        fill_compliances(problem, part * SMALL, np.empty(size), r)
+        _, found = solve_compliances(problem, profile, r, none, ROUNDING, now, matrix, False)
+        solved = solved and found
+        for a in range(size):
+            x[a] = 2.0 * now.f[a] - x[a] if part == 1.0 else now.f[a]
+    best = polish(*system, x) if solved else math.inf
+    return best if best <= UNDETERMINED else solve_coulomb(*system, x)
 
 
 @inlined
-def soften(delassus, unit, compliance, soft):
-    """Fill the diagonal of soft (m, m) with that of W + ε C, ε = `unit`."""
-    for a in range(len(soft)):
-        soft[a, a] = delassus[a, a] + unit * (compliance[a // 3] if a < 3 * len(compliance) else 1.0)
+def velocity_problem(delassus, free, velocity, mu, least, held, lower, upper, compliance):
+    """Return the `VelocityProblem` with M = 1 of a contact problem, by the factor of W = J Jᵀ."""
+    size, nc = len(free), len(mu)
+    factors, order, scaled = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty((size, size))
+    d, unused = np.empty(size), np.empty(size)
+    scale(delassus, free, nc, d, unused, unused)  # rows of different units have one rank
+    for a in range(size):
+        for b in range(size):
+            scaled[a, b] = d[a] * delassus[a, b] * d[b]
+    m = factor(scaled, order, factors, RANK)
+    values, columns = np.empty((size, m)), np.empty((size, m), dtype=np.int64)
+    for a in range(size):
+        for k in range(m):
+            values[a, k], columns[a, k] = factors[a, k] / d[a], k
+    return VelocityProblem(
+        *(np.eye(m), np.eye(m), np.arange(m), values, columns, repeated(size, m), free),
+        *(Law(mu, velocity, least, held, lower, upper), compliance),
+    )
+
+
+@inlined
+def scales_of(delassus, free, least):
+    """Return the unit of `scale`, and the arrays `accelerations`, scale_a and scale_f of `residual`."""
+    size, nc = len(free), len(least)
+    d, scale_a, scale_f, loads = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    for a in range(size):  # the magnitude of u, also where u_free is zero and only `least` acts
+        loads[a] = abs(free[a])
+        for i in range(nc):
+            loads[a] += abs(delassus[a, 3 * i + 2]) * least[i]
+    return scale(delassus, loads, nc, d, scale_a, scale_f), (np.empty(size), scale_a, scale_f)
+
+
+@declared(*SYSTEM, result=float)
+@external
+def polish(delassus, free, velocity, mu, least, held, lower, upper, x):
+    """Refine forces x by Newton's method as long as it halves the residual; return that. See `newton`."""
+    system = delassus, free, velocity, mu, least, held, lower, upper, x
+    unit, scales = scales_of(delassus, free, least)
+    if unit == 0.0:
+        filled(x, 0.0)
+        return 0.0
+    now, before = residual(*system, *scales), math.inf
+    while EXACT < now < 0.5 * before:
+        before = now
+        now = newton(*system, *scales)
+    return now
 
 
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
@@ -444,3 +367,18 @@ def linearize(
             for k in range(size):
                 system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
             right[b] = -rate
+
+
+@declared(*SYSTEM, result=int)
+@external
+def orientation(delassus, free, velocity, mu, least, held, lower, upper, x):
+    """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular."""
+    size, undecided = len(x), repeated(len(mu), AS_FORCES_SAY)
+    system, right = np.empty((size, size)), np.empty(size)
+    given = delassus, free, velocity, mu, least, held, lower, upper, x
+    unit, scales = scales_of(delassus, free, least)
+    if unit == 0.0:
+        return 0
+    residual(*given, *scales)
+    linearize(*given, *scales, undecided, system, right)
+    return solve(system, right, np.empty(size), RANK)

@@ -30,13 +30,7 @@ RANK = 1e-10
 """Pivot or singular value, relative to the largest, that is taken as zero. For Newton's equations at a
 solution, whose entries are accurate to rounding, it is `COMPUTED`."""
 
-# ---- Coulomb's law by multipliers and Newton's method
-
-COMPLIANCE = 1e-9
-"""ε of the multiplier iteration (theory.md, 11.3): makes W definite, and does not change the fixed point."""
-
-NEAR = 1e-2
-"""Residual below which Newton's method is tried."""
+# ---- Coulomb's law
 
 USABLE = 1e-10
 """Residual up to which forces are accepted if it does not decrease further; at `COMPUTED` iterations stop."""

@@ -11,24 +11,16 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOATS, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.coulomb_problem import (
-    AS_FORCES_SAY,
-    SYSTEM,
-    USABLE,
-    linearize,
-    newton,
-    residual,
-    scale,
-    solve_compliant,
-    solve_coulomb,
-)
-from ..._numeric.elimination import RANK, solve
+from ..._numeric.coulomb_problem import SYSTEM, USABLE, orientation, polish, solve_compliant, solve_coulomb
+from ..._numeric.elimination import RANK
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, filled, nonzero, repeated
+from ..._numeric.loops import assign, filled, nonzero
+from ..._numeric.tolerances import UNDETERMINED
 from .tolerances import NEGLIGIBLE
 
-AT_REST, AS_BEFORE, NONE = range(3)
-"""Initial forces: those that keep pressed contacts at rest, those of the last choice of modes, or zero."""
+COMPLIANT, AT_REST, AS_BEFORE, ANY = range(4)
+"""Ways to find forces: the limit of small compliances; Newton's method from those that keep pressed contacts
+at rest, or from those of the last choice of modes; the method of augmented Lagrangians."""
 
 
 @declared(*SYSTEM, FLAGS, FLOATS, bool, result=bool)
@@ -38,8 +30,8 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
 
     Newton's method starts from the forces at which pressed contacts and joints rest, so that they stay at
     rest if possible, then from those of the last choice of modes: near a singularity the forces are a
-    thousand times the loads, and only a nearby start converges. The method of multipliers comes last. The
-    search stops at the first forces whose equations have no negative determinant.
+    thousand times the loads, and only a nearby start converges. The method of augmented Lagrangians comes
+    last. The search stops at the first forces whose equations have no negative determinant.
 
     Args:
         delassus, free, slip, mu, least, held, lower, upper: See `solve_coulomb`.
@@ -51,36 +43,23 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
     Returns:
         Whether forces were found.
     """
-    nc, size = len(mu), len(x)
-    starts = (AT_REST, AT_REST, AS_BEFORE, NONE)  # the first one is for the limit of small compliances
-    width, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    filled(x, 0.0)
-    if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
-        return True
-    trial, found = np.empty(size), False
-    for attempt in range(1 if unique else 0, len(starts)):
-        compliant, start = attempt < 1, starts[attempt]
-        if start == AT_REST:
-            at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
-        elif start == AS_BEFORE:
-            assign(trial, before)
+    system, trial, found = (delassus, free, slip, mu, least, held, lower, upper), np.empty(len(x)), False
+    for way in range(AT_REST if unique else COMPLIANT, ANY + 1):
+        if way == COMPLIANT:
+            error = solve_compliant(*system, trial, np.ones(len(mu)))
+        elif way == ANY:
+            error = solve_coulomb(*system, trial)
         else:
-            filled(trial, 0.0)
-        if compliant:
-            error = solve_compliant(delassus, free, slip, mu, least, held, lower, upper, trial, np.ones(nc))
-        elif start == NONE:
-            error = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, trial)
-        else:
-            error = newton(
-                delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
-            )
-        if error > USABLE:
-            if attempt == len(starts) - 1 and not found:
+            if way == AT_REST:
+                at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
+            else:
+                assign(trial, before)
+            error = polish(*system, trial)
+        if error > (USABLE if unique else UNDETERMINED):  # see (11.10)
+            if way == ANY and not found:
                 assign(x, trial)
             continue
-        determinant_sign = orientation(
-            delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
-        )
+        determinant_sign = orientation(*system, trial)
         if determinant_sign > 0 or not found:
             assign(x, trial)
         found = True
@@ -143,20 +122,6 @@ def stop_rows(delassus, free, drag, rows, x):
     least_norm(system, right, RANK, solution, np.empty((0, m)))
     for c in range(m):
         x[rows[c]] = solution[c]
-
-
-@declared(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
-@external
-def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular."""
-    nc, size = len(mu), len(x)
-    system, right, undecided = np.empty((size, size)), np.empty(size), repeated(nc, AS_FORCES_SAY)
-    residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
-    linearize(
-        *(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
-        *(system, right),
-    )
-    return solve(system, right, np.empty(size), RANK)
 
 
 @inlined

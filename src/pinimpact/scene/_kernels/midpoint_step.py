@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOATS, FOUR_FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.augmented_newton import VelocityProblem, rates
+from ..._numeric.augmented_newton import VelocityProblem, law_of_steps, rates
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric
 from ..._numeric.tolerances import NOISE, SETTLED, SOFTEST
@@ -258,8 +258,8 @@ def contact_problem(work, h, system, rows, found, slow, free):
     for i in range(every):
         free[3 * i + 2] += closing_speed(gap[i], slow, h) if i < nc else gap[i] / h
     problem = VelocityProblem(
-        *(system.mass, system.inverse, system.start, values, columns, counts, free, friction),
-        *(lower, upper, compliance),
+        *(system.mass, system.inverse, system.start, values, columns, counts, free),
+        *(law_of_steps(friction, lower, upper), compliance),
     )
     return problem, active
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import jit
-from ..._numeric.augmented_newton import VelocityProblem
+from ..._numeric.augmented_newton import VelocityProblem, law_of_steps
 from ..._numeric.loops import flags
 from ..._numeric.tolerances import LITTLE, SETTLED
 from .dynamics import ABA, call_python, set_state
@@ -62,7 +62,7 @@ def least_displacement(system, rows, displacement, pushes):
             values[i, k], columns[i, k] = rows.values[row, k], rows.columns[row, k]
     problem = VelocityProblem(
         *(system.mass, system.inverse, system.start, values, columns, counts),
-        *(free, none, lower, upper, none),
+        *(free, law_of_steps(none, lower, upper), none),
     )
     begin, active, unknown = np.zeros(len(displacement)), flags(n, True), np.empty((2, 0, n))
     step_impulses(problem, active, system.tree, LITTLE, SETTLED, begin, displacement, pushes, unknown)
