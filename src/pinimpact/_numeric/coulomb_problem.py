@@ -76,6 +76,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     now = iterate_of(problem, np.zeros(m), np.empty(size))
     f, trial, r, matrix = np.zeros(size), np.empty(size), np.empty(size), np.empty((m, m))
     part, last, best = 1.0, math.inf, math.inf
+    filled(x, 0.0)
     for _ in range(ITERATIONS):
         fill_compliances(problem, part, np.empty(size), r)
         _, solved = solve_compliances(problem, profile, r, f, ROUNDING, now, matrix, False)
@@ -375,10 +376,11 @@ def orientation(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular."""
     size, undecided = len(x), repeated(len(mu), AS_FORCES_SAY)
     system, right = np.empty((size, size)), np.empty(size)
-    given = delassus, free, velocity, mu, least, held, lower, upper, x
+    given = delassus, free, velocity, mu, least, held, lower, upper
     unit, scales = scales_of(delassus, free, least)
     if unit == 0.0:
         return 0
-    residual(*given, *scales)
-    linearize(*given, *scales, undecided, system, right)
+    a_now, scale_a, scale_f = scales
+    residual(*given, x, a_now, scale_a, scale_f)
+    linearize(*given, x, a_now, scale_a, scale_f, undecided, system, right)
     return solve(system, right, np.empty(size), RANK)
