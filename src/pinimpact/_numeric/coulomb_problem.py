@@ -23,7 +23,7 @@ from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .augmented_lagrangian import FINER, ITERATIONS, QUICK, fill_compliances, iterate_of
-from .augmented_newton import Law, VelocityProblem, find_profile, solve_compliances
+from .augmented_newton import Law, VelocityProblem, add_transposed, find_profile, solve_compliances
 from .elimination import solve
 from .least_norm import least_norm
 from .loops import assign, filled, repeated
@@ -111,7 +111,8 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
 
     The solutions of (16.3) from f = 0 for r = 2ε C and r = ε C are extrapolated to ε = 0, where Newton's
     method converges to the nearest solution. C is diagonal, up to a factor `compliance` (nc,) for the rows
-    of contacts and 1 for scalar rows.
+    of contacts and 1 for scalar rows. Newton's method starts from the velocities of the given x, which should
+    have the symmetry of the problem.
     """
     system, size = (delassus, free, velocity, mu, least, held, lower, upper), len(free)
     problem = velocity_problem(*system, compliance)
@@ -119,6 +120,7 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
     profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     find_profile(problem, *profile)
     now = iterate_of(problem, np.zeros(m), np.empty(size))
+    add_transposed(problem.values, problem.columns, problem.counts, x, now.w)
     none, r, matrix, solved = np.zeros(size), np.empty(size), np.empty((m, m)), True
     for part in (2.0, 1.0):
         fill_compliances(problem, part * SMALL, np.empty(size), r)

@@ -85,7 +85,8 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
     n = len(friction)
     compliance = np.empty(n)
     for i in range(n):
-        compliance[i] = 1.0 / stiffness[i]
+        impulse[3 * i] = impulse[3 * i + 1] = 0.0
+        impulse[3 * i + 2], compliance[i] = given[i], 1.0 / stiffness[i]
     none, rest, held = np.zeros(0), np.zeros((n, 2)), flags(n, False)
     residual = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
     if not residual <= FOUND:

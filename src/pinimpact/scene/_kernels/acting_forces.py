@@ -45,14 +45,14 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
     """
     system, trial, found = (delassus, free, slip, mu, least, held, lower, upper), np.empty(len(x)), False
     for way in range(AT_REST if unique else COMPLIANT, ANY + 1):
+        if way <= AT_REST:
+            at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
         if way == COMPLIANT:
             error = solve_compliant(*system, trial, np.ones(len(mu)))
         elif way == ANY:
             error = solve_coulomb(*system, trial)
         else:
-            if way == AT_REST:
-                at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
-            else:
+            if way == AS_BEFORE:
                 assign(trial, before)
             error = polish(*system, trial)
         if error > (USABLE if unique else UNDETERMINED):  # see (11.10)

@@ -16,7 +16,7 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
-from ..._numeric.tolerances import COMPUTED, ROUNDOFF
+from ..._numeric.tolerances import ROUNDOFF
 from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, ROUNDED, WEIGHTLESS
 from .workspace import SceneWorkspace
 
@@ -248,8 +248,6 @@ def solve_least_norm(work):
     bearing, given = flags(size, True), np.zeros(size)
     while True:
         most_violated, violated_row, width = 0.0, size, 0
-        for a in range(size):
-            most_violated = min(most_violated, -COMPUTED * abs(trial[a]))
         a = 0
         for k in range(len(modes)):
             rows = 1 if modes[k] == SLIP else 3
