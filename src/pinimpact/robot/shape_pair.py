@@ -23,7 +23,7 @@ from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
 from ..geometry.tolerances import NEAREST
-from .contact import Contact
+from .contact import FAR, Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
 from .solids import CarriedShape, two_shapes
