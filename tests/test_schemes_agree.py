@@ -284,7 +284,7 @@ def test_finger_that_slows_down_does_not_pull_a_box(rtol):
     weight = model.gravity.linear[2] * -1.0
     assert normal.sum(axis=0).min() > -0.02 * weight
     stepped = simulate(scene, q0, v0, 0.4, scheme="time-stepping", dt=1e-4)
-    assert located.q[-1] == pytest.approx(stepped.q[-1], abs=2e-3)
+    assert located.q[-1] == pytest.approx(stepped.q[-1], abs=2.5e-3)
 
 
 def test_boxes_that_slide_side_by_side_share_their_load_as_in_time_steps():

@@ -375,14 +375,19 @@ def linearize(
 @declared(*SYSTEM, result=int)
 @external
 def orientation(delassus, free, velocity, mu, least, held, lower, upper, x):
-    """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular."""
+    """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular.
+
+    Forces that are not unique have the sign for small compliances, which are added to the diagonal of W.
+    """
     size, undecided = len(x), repeated(len(mu), AS_FORCES_SAY)
-    system, right = np.empty((size, size)), np.empty(size)
-    given = delassus, free, velocity, mu, least, held, lower, upper
+    system, right, soft = np.empty((size, size)), np.empty(size), delassus.copy()
     unit, scales = scales_of(delassus, free, least)
     if unit == 0.0:
         return 0
     a_now, scale_a, scale_f = scales
-    residual(*given, x, a_now, scale_a, scale_f)
+    residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+    for a in range(size):
+        soft[a, a] += HALF_DIGITS / (scale_a[a] * scale_f[a])
+    given = soft, free, velocity, mu, least, held, lower, upper
     linearize(*given, x, a_now, scale_a, scale_f, undecided, system, right)
     return solve(system, right, np.empty(size), RANK)

@@ -248,9 +248,14 @@ def solve_least_norm(work):
     bearing, given = flags(size, True), np.zeros(size)
     while True:
         most_violated, violated_row, width = 0.0, size, 0
+        for a in range(size):  # rounding errors do not pull
+            most_violated = min(most_violated, -ROUNDOFF * abs(trial[a]))
+        least_load = most_violated
         a = 0
         for k in range(len(modes)):
             rows = 1 if modes[k] == SLIP else 3
+            if modes[k] != HELD and least_load <= trial[a + rows - 1] < 0.0:
+                trial[a + rows - 1] = 0.0
             if modes[k] != HELD and bearing[a] and trial[a + rows - 1] < most_violated:
                 most_violated, violated_row, width = trial[a + rows - 1], a, rows
             a += rows
