@@ -233,19 +233,6 @@ def test_open_contact_has_zero_force():
     assert not trajectory.joint_forces(0.1).any()
 
 
-def test_forces_nearest_to_known_ones_are_not_adhesive():
-    """Only the resultant of the forces on the corners of a sliding plate is unique."""
-    corners = [(x, y, 0.0) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
-    plate = free_body(pin.Inertia(2.0, np.zeros(3), np.diag([0.03, 0.05, 0.08])), corners)
-    contacts = [Contact(f"tip{k}", Plane(), friction=0.1) for k in range(4)]
-    trajectory = simulate(Scene(plate, contacts), [0, 0, 0, 0, 0, 0, 1], [1, 0.3, 0, 0, 0, 4], 0.1)
-    for step in trajectory._segments:
-        step.closed = step.closed._replace(known=np.array([40.0, 0.0, 0.0, 40.0]))
-    forces = np.array([trajectory.forces(f"tip{k} on plane", 0.05)[2] for k in range(4)])
-    np.testing.assert_allclose(forces, [G, 0.0, 0.0, G], atol=1e-9)
-    assert forces.min() == 0.0
-
-
 CORNERS = [(0.3, 0.0, -0.2), (-0.2, 0.25, -0.2), (-0.15, -0.3, -0.2), (0.1, 0.1, -0.2)]
 
 

@@ -24,7 +24,6 @@ from ._kernels import (
     contact_modes,
     dense_output,
     drives,
-    force_choice,
     jamming,
     smooth_motion,
     step_dop853,
@@ -282,7 +281,7 @@ class SceneDynamics:
     @property
     def forces_doubtful(self) -> bool:
         """Whether the forces at the start of a smooth motion may violate the bounds of their modes."""
-        doubtful = float(force_choice.doubtful_margin(self.work))
+        doubtful = float(force_bound.doubtful_margin(self.work))
         margin: float = force_bound.margin_of_forces(self.work, doubtful)
         return margin <= doubtful
 
@@ -378,7 +377,7 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         smooth_motion.modes_continue,
         smooth_motion.replace_force,
         force_bound.margin_of_forces,
-        force_choice.doubtful_margin,
+        force_bound.doubtful_margin,
         step_dop853.attempt,
         smooth_motion.finish,
         constraint_drift.correct_constraint_drift,

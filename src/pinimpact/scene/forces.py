@@ -21,8 +21,6 @@ FORCE_SAMPLES = 7
 OF_CONTACTS = 8
 """Number of fields of `StepForces` that have a row for each contact."""
 
-_NONE = np.empty(0)
-
 
 class ClosedSet(NamedTuple):
     """The active contacts of a smooth motion, and all else beside the state that determines their forces.
@@ -36,10 +34,8 @@ class ClosedSet(NamedTuple):
         direction_speed: Speed below which slip keeps its last direction [m/s].
         slips: Whether any contact slips.
         unique: Whether the motion determines the forces.
-        known: Forces at the start of the motion; the solution nearest to them is used. Empty: none.
         joints: (k, 2) joints of the tip and of the surface of the active contacts.
         swapped: Contacts whose forces act on the second shape of their pair, not on the first.
-        renewed: Whether it continues the set before it, with another distribution of forces.
     """
 
     modes: Integers
@@ -50,36 +46,20 @@ class ClosedSet(NamedTuple):
     direction_speed: float
     slips: bool
     unique: bool
-    known: Array
     joints: Integers
     swapped: Integers
-    renewed: bool = False
-
-    def continues(self, before: ClosedSet | None) -> bool:
-        """Return whether this is the set `before`, or differs from it by its distribution of forces only."""
-        if self is before:
-            return True
-        return self.renewed and before is not None and np.array_equal(self.modes, before.modes)
-
-    @property
-    def keeps_forces(self) -> bool:
-        """Whether the forces of the motion depend on those at its start."""
-        return len(self.known) > 0 and bool(self.known.any())
 
     def under(self, work: SceneWorkspace) -> ClosedSet:
         """Return this set under the present force of the control."""
         control, speed = work.control_force.copy(), work.direction_speed
-        return self._replace(control=control, direction_speed=speed, renewed=False)
+        return self._replace(control=control, direction_speed=speed)
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:
         """Return the present set; None if nothing is active and no joint slides with dry friction."""
         if work.active_contacts + work.active_scalars == 0 and not work.sliding_friction.any():
             return None
-        index, modes, rubs = work.active_index, work.active_mode.tolist(), False
-        slips = SLIP in modes
-        if slips:
-            rubs = bool((work.active_friction[work.active_mode == SLIP] > 0.0).any())
+        index = work.active_index
         return cls(
             work.modes.copy(),
             work.sliding_friction.copy(),
@@ -87,9 +67,8 @@ class ClosedSet(NamedTuple):
             work.control_force.copy(),
             work.contact_constants.take(index, axis=0),
             work.direction_speed,
-            slips,
+            SLIP in work.active_mode.tolist(),
             work.forces_unique,
-            work.inner_forces.copy() if rubs else _NONE,
             work.contact_joints.take(index, axis=0),
             swapped,
         )
@@ -274,7 +253,7 @@ class EvaluatedForces:
         world, points, normals = np.zeros((3, n, 3))
         joints = np.zeros(work.nv)
         unique = force_evaluation.forces_at(
-            work, t, *step.at(t), directions, closed.unique, closed.known, world, points, normals, joints
+            work, t, *step.at(t), directions, closed.unique, world, points, normals, joints
         )
         dynamics.check()
         world[closed.swapped] *= -1.0

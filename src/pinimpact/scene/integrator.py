@@ -361,17 +361,13 @@ class Integrator:
         state.q, state.v = work.q0.copy(), work.v0.copy()
         beyond = work.force_bound_ignored = work.force_bound_ignored and not work.end_margin >= 0.0
         state.bounce = math.inf
-        kept = state.closed is not None and state.closed.keeps_forces
-        if work.drift_at_end > self.drift_tolerance or beyond or kept:
+        if work.drift_at_end > self.drift_tolerance or beyond:
             if beyond:
                 self._note_violated_bounds(-work.end_margin)
-            if beyond or kept:
                 self._settle()
             else:
                 self.instant.correct_constraint_drift()
             self._begin_motion()
-            if kept and state.closed is not None:
-                state.closed = state.closed._replace(renewed=True)
         self._sample()
 
     def _note_violated_bounds(self, excess: float) -> None:

@@ -115,34 +115,34 @@ class SlopesOfModes:
 
         At an end of the step (`inside` False) only the constraints are differentiated, and v̇ is not.
         """
-        known = self._set(step)
+        ends, unique = self._set(step)
         found = slopes_along(
             *(self.dynamics.work, self._address, self._total, self._smooth, self._parent, self._friction),
             *(step.coefficients, step.q, step.v, step.start, step.h, times),
-            *(*known, step.closed is None, inside),
+            *(ends, unique, step.closed is None, inside),
         )
         self.dynamics.check()
-        return SlopesWithin(*(*found, known[1]))
+        return SlopesWithin(*(*found, unique))
 
-    def _set(self, step: DenseStep) -> tuple[Array, bool, Array]:
+    def _set(self, step: DenseStep) -> tuple[Array, bool]:
         """Set the modes of a step.
 
         Returns:
-            Directions of slip (2, k, 2) at its ends; whether the motion determines the forces; known forces.
+            Directions of slip (2, k, 2) at its ends; whether the motion determines the forces.
         """
         closed, work = step.closed, self.dynamics.work
         if closed is None:
             work.modes[:], work.sliding_friction[:], work.control_force[:] = 0, 0.0, self.tau
-            return np.zeros((2, 0, 2)), True, np.zeros(0)
+            return np.zeros((2, 0, 2)), True
         set_closed(self.dynamics, closed)
         ends = np.zeros((2, len(closed.joints), 2)) if step.directions is None else step.directions
-        return ends, closed.unique, closed.known
+        return ends, closed.unique
 
     def speeds(self, step: DenseStep, times: Array) -> Array:
         """Return the speeds of slip (s, k) of the active contacts at times (s,) in a step; 0 if sticking."""
-        known = self._set(step)
+        ends, unique = self._set(step)
         moving = step.coefficients, step.q, step.v, step.start, step.h
-        found = speeds_along(self.dynamics.work, *moving, times, *known)
+        found = speeds_along(self.dynamics.work, *moving, times, ends, unique)
         self.dynamics.check()
         return np.asarray(found)
 

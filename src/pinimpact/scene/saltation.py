@@ -178,7 +178,7 @@ class Saltation:
             if impacts or len(called) > 1:
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
             return self._through_callback(x, before, after, *called[0])
-        if not impacts and (after.closed.continues(before.closed) if after.closed else not before.closed):
+        if not impacts and after.closed is before.closed:
             return x
         t, work, robot = before.end, self._dynamics.work, (self._model, self._data)
         modes, later = self.modes(before), self.modes(after)

@@ -10,7 +10,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, dec
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, filled, nonzero
+from ..._numeric.loops import assign, nonzero
 from ..._numeric.tolerances import LITTLE
 from .contact_forces import FREE, HELD, SLIP
 from .tolerances import DIFFERENT, NEGLIGIBLE
@@ -71,7 +71,6 @@ def close(work, reference):
     for m in range(len(scalars)):
         velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m], held)
     work.forces_unique = True
-    filled(work.inner_forces, 0.0)
 
 
 @declared(SceneWorkspace, INTEGERS, FLOATS, INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS)

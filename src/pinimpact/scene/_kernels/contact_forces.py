@@ -14,7 +14,7 @@ from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm, least_norms
-from ..._numeric.loops import assign, flags
+from ..._numeric.loops import assign
 from ..._numeric.products import apply_symmetric, dot, products
 from ..._numeric.tolerances import ROUNDOFF
 from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, ROUNDED, WEIGHTLESS
@@ -209,10 +209,8 @@ def may_grow(effective):
 def solve_least_norm(work):
     """Fill `work.solution` with the limit of small compliances (11.12) of the singular system (9.3).
 
-    Without slip against friction it is the solution of least norm. It is taken relative to `inner_forces`,
-    admissible forces known from an earlier state (or zero). Rows of contacts that would pull are then
-    removed, and with slip against friction forces of stops and joints beyond their bounds are set to these,
-    as long as the remaining rows can satisfy the equations.
+    Without slip against friction it is the solution of least norm. Bounds are not considered, see
+    `compliant_forces`.
 
     The rank is decided where a motion begins. In the stages of a step redundant rows contradict each other by
     the error of the stage, which only very large forces would satisfy.
@@ -220,70 +218,20 @@ def solve_least_norm(work):
     Returns:
         Whether the solution is unique.
     """
-    modes, system, target, solution = work.active_mode, work.system, work.target, work.solution
-    known, lower, upper = work.inner_forces, work.scalar_lower, work.scalar_upper
+    system, target, solution = work.system, work.target, work.solution
     size = len(target)
-    no_basis = np.empty((0, size))
-    trial, columns, part, right = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
-    for a in range(size):
-        right[a] = target[a]
-        for b in range(size):
-            right[a] -= system[a, b] * known[b]
-    unique = least_norm(system, right, work.rank_tolerance, solution, no_basis) == size
-    shares = not unique and slips_with_friction(work)
-    if shares:
+    no_basis, trial = np.empty((0, size)), np.empty(size)
+    unique = least_norm(system, target, work.rank_tolerance, solution, no_basis) == size
+    if not unique and slips_with_friction(work):
         share_by_compliances(system, work.rank_tolerance, solution)
-    for a in range(size):
-        solution[a] += known[a]
     residual = relative_residual(work, solution)
     if residual > NEGLIGIBLE and not work.within_step:
         # keep rows of small inverse inertia too, although their forces may be large
-        least_norm(system, right, FINEST, trial, no_basis)
-        for a in range(size):
-            trial[a] += known[a]
+        least_norm(system, target, FINEST, trial, no_basis)
         if relative_residual(work, trial) < 0.1 * residual:
             work.rank_tolerance = FINEST
             assign(solution, trial)
-    assign(trial, solution)
-    bearing, given = flags(size, True), np.zeros(size)
-    while True:
-        most_violated, violated_row, width = 0.0, size, 0
-        for a in range(size):  # rounding errors do not pull
-            most_violated = min(most_violated, -ROUNDOFF * abs(trial[a]))
-        least_load = most_violated
-        a = 0
-        for k in range(len(modes)):
-            rows = 1 if modes[k] == SLIP else 3
-            if modes[k] != HELD and least_load <= trial[a + rows - 1] < 0.0:
-                trial[a + rows - 1] = 0.0
-            if modes[k] != HELD and bearing[a] and trial[a + rows - 1] < most_violated:
-                most_violated, violated_row, width = trial[a + rows - 1], a, rows
-            a += rows
-        for m in range(size - a if shares else 0):
-            bound = min(max(trial[a + m], lower[m]), upper[m])
-            if bearing[a + m] and -abs(trial[a + m] - bound) < most_violated:
-                most_violated, violated_row, width = -abs(trial[a + m] - bound), a + m, 1
-                given[violated_row] = bound
-        if violated_row == size:
-            assign(solution, trial)
-            return unique
-        for a in range(violated_row, violated_row + width):
-            bearing[a] = False
-        for a in range(size):
-            right[a] = target[a]
-            for b in range(size):
-                columns[a, b] = system[a, b] if bearing[b] else 0.0
-                right[a] -= system[a, b] * (known[b] if bearing[b] else given[b])
-        least_norm(columns, right, work.rank_tolerance, part, no_basis)
-        if shares:
-            for a in range(size):
-                for b in range(size):
-                    columns[a, b] *= bearing[a]
-            share_by_compliances(columns, work.rank_tolerance, part)
-        for a in range(size):
-            trial[a] = part[a] + known[a] if bearing[a] else given[a]
-        if not relative_residual(work, trial) <= NEGLIGIBLE:
-            return unique
+    return unique
 
 
 @external

@@ -15,6 +15,7 @@ from ...geometry._kernels.constants import ABSENT, KIND, RADIUS
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
+from .compliant_forces import compliant_forces
 from .drives import drive
 from .tolerances import NEGLIGIBLE, SINGULAR_STILL
 from .workspace import SceneWorkspace
@@ -271,9 +272,13 @@ def add_forces(work, out):
     elif work.forces_unique:
         orientation = 1 if solve_definite(system, target, work.solution) else 0
     work.forces_unique = orientation != 0
+    shared = orientation == 0 and not contact_forces.solve_least_norm(work)
     if orientation == 0:
-        work.forces_unique = contact_forces.solve_least_norm(work) and not friction
+        work.forces_unique = not shared and not friction
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
+    if margin < 0.0 and shared and compliant_forces(work):
+        assign(out[:n], work.acceleration)
+        margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive: a negative one shows that slip has passed a singularity
     jams = effective <= NEGLIGIBLE and contact_forces.accelerates_inward(work)
     work.force_margin = -math.inf if orientation < 0 or jams else margin

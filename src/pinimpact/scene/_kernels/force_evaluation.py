@@ -16,13 +16,12 @@ from .widest_margin import least_admissible
 from .workspace import SceneWorkspace
 
 
-@declared(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool, FLOATS)
+@declared(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool)
 @external
-def evaluate_closed(work, t, q, v, directions, unique, known):
+def evaluate_closed(work, t, q, v, directions, unique):
     """Evaluate motion and forces in the workspace for the modes `work.modes`; arguments as in `forces_at`."""
     close(work, directions)
     work.forces_unique = unique
-    assign(work.inner_forces[: len(known)], known)
     set_state(work, q, v)
     out = np.empty(len(v) + 4)
     evaluate(work, t, out)
@@ -34,11 +33,11 @@ def evaluate_closed(work, t, q, v, directions, unique, known):
 
 
 @declared(
-    *(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool, FLOATS),
+    *(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool),
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
 )
 @jit
-def forces_at(work, t, q, v, directions, unique, known, forces, points, normals, joints):
+def forces_at(work, t, q, v, directions, unique, forces, points, normals, joints):
     """Fill the forces of the active set for the modes `work.modes`.
 
     Args:
@@ -46,8 +45,6 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
         t, q, v: Time [s] and state.
         directions: (n, 2) reference directions of slip.
         unique: Whether the forces have been unique so far.
-        known: (m,) forces at the start of the motion; if forces are not unique, the nearest to them are used,
-            or those of least norm if `known` is empty.
         forces: (n, 3) is overwritten with the forces on the robot in world axes [N]; zero before.
         points: (n, 3) is overwritten with their points of action in world axes [m].
         normals: (n, 3) is overwritten with the surface normals there, in world axes.
@@ -56,7 +53,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
     Returns:
         Whether the motion determines the forces.
     """
-    evaluate_closed(work, t, q, v, directions, unique, known)
+    evaluate_closed(work, t, q, v, directions, unique)
     if work.callback_failed:
         return False
     index, found = work.active_index, work.contact_force

@@ -63,11 +63,11 @@ def _fill_place(work, parent, i, axes, at, shifts):
 @declared(
     *(SceneWorkspace, INTEGERS, FLOATS, FLOAT_STACK, INTEGERS, INTEGERS),
     *(FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS),
-    *(FLOAT_STACK, bool, FLOATS, bool, bool),
+    *(FLOAT_STACK, bool, bool, bool),
 )
 @jit
 def slopes_along(
-    work, derive, total, smooth, parent, friction, coefficients, q0, v0, start, h, times, ends, unique, known,
+    work, derive, total, smooth, parent, friction, coefficients, q0, v0, start, h, times, ends, unique,
     free, inside,
 ):  # fmt: skip
     """Return derivatives of v̇ and of the m vanishing velocities at several times within a step. (D23)
@@ -82,7 +82,7 @@ def slopes_along(
         coefficients, q0, v0, start, h: The step, see `DenseStep`.
         times: (s,) times [s].
         ends: (2, k, 2) directions of slip of active contacts, at the start and at the end of the step.
-        unique, known: As in `forces_at`.
+        unique: As in `forces_at`.
         free: Whether the active set is empty, so that drives may reach their limits.
         inside: Whether to differentiate v̇; not at the ends of a step, where the speed of slip may be zero.
 
@@ -106,7 +106,7 @@ def slopes_along(
     response, inverse = np.zeros((stages, nv, rows)), np.empty((stages, nv, nv))
     turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
     for i in range(stages):
-        _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, known, free, q, v)
+        _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, free, q, v)
         closed_slopes(work, parent, scratch, axes, moved, forces)
         if inside and not work.callback_failed:
             _add_forces(work, total)
@@ -127,9 +127,9 @@ def slopes_along(
     return by_state, response, inverse, by_friction, turning, moved
 
 
-@declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool, FLOATS))
+@declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool))
 @jit
-def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, known):
+def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique):
     """Return the slip speeds (s, k) of active contacts at several times within a step, zero without slip.
 
     Arguments are those of `slopes_along`.
@@ -138,7 +138,7 @@ def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, know
     speeds = np.empty((len(times), len(work.active_index)))
     q, v = np.empty(len(q0)), np.empty(len(v0))
     for i in range(len(times)):
-        _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, known, False, q, v)
+        _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, False, q, v)
         for k in range(speeds.shape[1]):
             x, y = work.contact_velocity[k, 0], work.contact_velocity[k, 1]
             speeds[i, k] = np.sqrt(x * x + y * y) if work.active_mode[k] == SLIP else 0.0
@@ -146,7 +146,7 @@ def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, know
 
 
 @inlined
-def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, known, free, q, v):
+def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, free, q, v):
     """Evaluate motion and forces at a time within a step; fill its state q and v."""
     part, reference = (t - start) / h, np.zeros((work.contacts, 2))
     state(coefficients, part, work.joint_charts, q0, v0, q, v)
@@ -161,7 +161,7 @@ def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, known, free
             row += 1
     if free:
         set_saturation(work, q, v)
-    evaluate_closed(work, t, q, v, reference, unique, known)
+    evaluate_closed(work, t, q, v, reference, unique)
 
 
 @inlined

@@ -14,8 +14,8 @@ from ..._numeric.tolerances import EPS
 from . import dynamics, slip, step_dop853
 from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP, joint_forces
+from .events.force_bound import doubtful_margin
 from .events.registry import find_first_event
-from .force_choice import choose_forces, doubtful_margin
 from .samples import record_sample, speed_along
 from .stiff_drives import rate_of_drives
 from .tolerances import ITERATED, STILL
@@ -39,7 +39,6 @@ def begin(work, t, q, v):
         filled(rates[i, 2 * n :], 0.0)
     assign(rates[0, :n], v)
     dynamics.evaluate(work, t, rates[0, n:])
-    choose_forces(work, t, rates[0, n:])
     slip.turn_references(work, work.contact_velocity)
     _set_start(work)
     work.drive_rate = rate_of_drives(work)

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLOATS, declared
+from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
@@ -28,18 +28,17 @@ LARGEST = 1e4
 """Bound on changes of forces in the null space, relative to `largest_force`: keeps the program bounded."""
 
 
-@declared(SceneWorkspace, FLOATS)
+@declared(SceneWorkspace, bool, result=float)
 @external
-def widest_margin(work, found):
+def widest_margin(work, same_motion):
     """Return the largest margin, with `row_tolerance`, of all forces at the state last evaluated [N]. (11.6)
 
-    If `found` (rows,) is not empty, that of all forces with the same motion; if it is positive, `found` is
-    overwritten with the forces that have it.
+    If `same_motion`, that of all forces with the same motion.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if len(found) > 0 and slips_with_friction(work):
+    if same_motion and slips_with_friction(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
@@ -60,11 +59,6 @@ def widest_margin(work, found):
     c[free] = -1.0
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
     cone_program(P, c, G, h, lines, sizes, NOISE, y, s, z)
-    if y[free] > 0.0:
-        for a in range(min(size, len(found))):
-            found[a] = x[a]
-            for j in range(free):
-                found[a] += unit * y[j] * null[j, a]
     return unit * y[free]
 
 

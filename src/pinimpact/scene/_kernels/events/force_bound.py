@@ -8,11 +8,10 @@ import numpy as np
 
 from ...._compile.declared import declared
 from ...._compile.jit import external, inlined, jit
-from ..contact_forces import slips_with_friction
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
-from ..tolerances import WEIGHTLESS
+from ..tolerances import DOUBTFUL, WEIGHTLESS
 from ..widest_margin import widest_margin
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
@@ -31,7 +30,7 @@ def value(work, _, t):
         return max(margin_of_forces(work, 0.0), -1e300), 0.0
     margin = work.force_margin
     if margin < 0.0:
-        margin = 1e300 if work.forces_unique else widest_margin(work, np.empty(0))
+        margin = 1e300 if work.forces_unique else widest_margin(work, False)
     return margin, 0.0
 
 
@@ -40,15 +39,22 @@ def value(work, _, t):
 def margin_of_forces(work, enough):
     """Return the force margin (11.6) at the state last evaluated, with `row_tolerance` [N].
 
-    If that of the present forces is below `enough`, it is maximized over all forces with the same motion. If
-    no contact slips, the maximizing forces are stored in `inner_forces`; else the motion would depend on it.
+    If that of the present forces is below `enough`, it is maximized over all forces with the same motion.
     """
     margin = work.force_margin
-    if margin < enough and not work.forces_unique:
-        if slips_with_friction(work):
-            return widest_margin(work, np.empty(len(work.target)))
-        margin = widest_margin(work, work.inner_forces)
-    return margin
+    return widest_margin(work, True) if margin < enough and not work.forces_unique else margin
+
+
+@declared(SceneWorkspace)
+@jit
+def doubtful_margin(work):
+    """Return the force margin [N] up to which, given the errors, the forces may violate their bounds."""
+    largest_force = tolerance = 0.0
+    for force in work.solution:
+        largest_force = max(largest_force, abs(force))
+    for negligible in work.row_tolerance:
+        tolerance = max(tolerance, negligible)
+    return 2.0 * tolerance + DOUBTFUL * largest_force
 
 
 first_fall = search_for_fall(value)
