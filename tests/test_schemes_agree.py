@@ -6,6 +6,7 @@ Faces lie on faces, so load distributions are not unique, and forces start slip 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import coal
 import numpy as np
@@ -256,9 +257,11 @@ def test_disc_rolls_in_circle_by_time_stepping():
         assert pin.Quaternion(run.q[-1][3:]).matrix()[2, 2] == pytest.approx(np.cos(tilt), abs=error)
 
 
-@pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-8])
-def test_finger_that_slows_down_does_not_pull_a_box(rtol):
-    """Face contact and floor share friction in many ways, some of which last longer than others admit."""
+GRASP, STIFFNESS, DAMPING, GOAL = 0.3, 300.0, 20.0, 0.35
+
+
+def pushed_by_finger():
+    """Return a scene of a box on the floor that a finger pushes with a face of four corners."""
     model, shapes, here = pin.Model(), pin.GeometryModel(), pin.SE3.Identity()
     for name, kind, size, mass in (
         ("box", pin.JointModelFreeFlyer(), SIZE, 1.0),
@@ -272,19 +275,80 @@ def test_finger_that_slows_down_does_not_pull_a_box(rtol):
     unbounded(model)
     contacts = [
         Contact(geometry="box", plane=Plane(), friction=MU, name="floor"),
-        Contact(geometry="finger", plane=Shape("box"), friction=0.3, name="push"),
+        Contact(geometry="finger", plane=Shape("box"), friction=GRASP, name="push"),
     ]
-    control = JointPD([0.0] * 6 + [300.0], [0.0] * 6 + [20.0], [0, 0, 0, *UP, 0.35])
-    scene = Scene(model, contacts, geometry=shapes, control=control)
-    q0, v0 = np.array([*FLAT, 0.0]), np.zeros(7)
-    located = simulate(scene, q0, v0, 0.4, rtol=rtol, atol=1e-2 * rtol)
+    control = JointPD([0.0] * 6 + [STIFFNESS], [0.0] * 6 + [DAMPING], [0, 0, 0, *UP, GOAL])
+    return Scene(model, contacts, geometry=shapes, control=control)
+
+
+def push(rtol):
+    return simulate(pushed_by_finger(), [*FLAT, 0.0], np.zeros(7), 0.4, rtol=rtol, atol=1e-2 * rtol)
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7])
+def test_finger_that_slows_down_does_not_pull_a_box(rtol):
+    """Face contact and floor share friction in many ways; the motion converges to that of equal compliances."""
+    scene, located = pushed_by_finger(), push(rtol)
     labels = [contact.label for contact in scene.contacts if contact.label.startswith("push")]
     times = np.linspace(0.0, 0.4, 401)
     normal = np.array([located.forces(label, times)[:, 2] for label in labels])
-    weight = model.gravity.linear[2] * -1.0
-    assert normal.sum(axis=0).min() > -0.02 * weight
-    stepped = simulate(scene, q0, v0, 0.4, scheme="time-stepping", dt=1e-4)
-    assert located.q[-1] == pytest.approx(stepped.q[-1], abs=2.5e-3)
+    assert normal.min() > -1e-8 * G
+    assert located.q[-1] == pytest.approx(push(1e-9).q[-1], abs=10.0 * rtol)
+    stepped = simulate(scene, located.q[0], np.zeros(7), 0.4, scheme="time-stepping", dt=1e-4)
+    assert located.q[-1] == pytest.approx(stepped.q[-1], abs=5e-4)
+
+
+def forces_of_compliances(finger, speed, compliance):
+    """Return forces (4, 2) on the box in its plane of symmetry, at its corners and at those of the finger.
+
+    They are normal and tangential forces for relative accelerations −`compliance` times the forces, within
+    Coulomb's law. All combinations of open, sticking and yielding contacts are tried.
+    """
+    lengths, height = np.array(SIZE), np.array([-0.01, 0.03])
+    inertia = (lengths[0] ** 2 + lengths[2] ** 2) / 12.0
+    drive = STIFFNESS * (GOAL - finger) - DAMPING * speed
+    # unknowns: accelerations of the box (x, z, pitch) and of the finger, then four pairs (normal, tangential)
+    ends = 0.5 * lengths[0] * np.array([-1.0, 1.0])
+    for floor in itertools.product((True, False), repeat=2):
+        for states in itertools.product(("open", "sticks", 1.0, -1.0), repeat=2):
+            A, b = np.zeros((12, 12)), np.zeros(12)
+            A[0, 0], A[1, 1], A[2, 2], A[3, 3], b[1], b[3] = 1.0, 1.0, inertia, 0.5, -G, drive
+            for i, closed in enumerate(floor):
+                n, t = 4 + 2 * i, 5 + 2 * i
+                A[1, n], A[0, t], A[2, n], A[2, t] = -2.0, -2.0, 2.0 * ends[i], lengths[2]
+                A[t, [t, n]] = 1.0, MU
+                A[n, n] = compliance if closed else 1.0
+                A[n, [1, 2]] = closed * np.array([1.0, -ends[i]])
+            for i, state in enumerate(states):
+                n, t = 8 + 2 * i, 9 + 2 * i
+                A[0, n], A[1, t], A[3, n] = -2.0, -2.0, 2.0
+                A[2, n], A[2, t] = -2.0 * height[i], -lengths[0]
+                A[n, n] = A[t, t] = compliance if state == "sticks" else 1.0
+                if state != "open":
+                    A[n, [0, 2, 3, n]] = 1.0, height[i], -1.0, compliance
+                    A[t, [1, 2]] = (state == "sticks") * np.array([1.0, 0.5 * lengths[0]])
+                    A[t, n] = 0.0 if state == "sticks" else state * GRASP
+            x = np.linalg.solve(A, b)
+            forces, slip = x[4:].reshape(4, 2), x[1] + 0.5 * lengths[0] * x[2]
+            opening = np.array([*(x[1] - ends * x[2]), *(x[0] + height * x[2] - x[3])])
+            closed = np.array([*floor, *(state != "open" for state in states)])
+            valid = (forces[closed, 0] >= 0.0).all() and (opening[~closed] >= 0.0).all()
+            for state, (normal, tangential) in zip(states, forces[2:], strict=True):
+                valid &= state != "sticks" or abs(tangential) <= GRASP * normal
+                valid &= isinstance(state, str) or state * slip >= 0.0
+            if valid:
+                return forces
+    raise AssertionError("no forces satisfy Coulomb's law")
+
+
+def test_shared_forces_of_a_push_are_those_of_small_compliances():
+    located = push(1e-9)
+    for t in (0.06, 0.09, 0.1, 0.107):
+        q, v = located.at(t)
+        expected = forces_of_compliances(q[7], v[6], 1e-6)
+        normals = [located.forces(f"floor corner {k}", t)[2] for k in (1, 2, 3, 4)]
+        normals += [located.forces(label, t)[2] for label in ("push", "push 2", "push 3", "push 4")]
+        assert sorted(normals) == pytest.approx(sorted(np.repeat(expected[:, 0], 2)), abs=1e-4)
 
 
 def test_boxes_that_slide_side_by_side_share_their_load_as_in_time_steps():
