@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import brentq
 
-from pinimpact import Contact, JointPD, Plane, Scene, Shape, Sphere, Stepper, impact, simulate
+from pinimpact import Boundary, Contact, JointPD, Plane, Scene, Shape, Sphere, Stepper, impact, simulate
 
 from .scene_models import UP, G, shaped_body, unbounded
 from .test_time_stepping import boxes
@@ -287,7 +287,7 @@ def push(rtol):
 
 @pytest.mark.parametrize("rtol", [1e-5, 1e-7])
 def test_finger_that_slows_down_does_not_pull_a_box(rtol):
-    """Face contact and floor share friction in many ways; the motion converges to that of equal compliances."""
+    """Face contact and floor share friction in many ways; the motion is that of equal compliances."""
     scene, located = pushed_by_finger(), push(rtol)
     labels = [contact.label for contact in scene.contacts if contact.label.startswith("push")]
     times = np.linspace(0.0, 0.4, 401)
@@ -349,6 +349,28 @@ def test_shared_forces_of_a_push_are_those_of_small_compliances():
         normals = [located.forces(f"floor corner {k}", t)[2] for k in (1, 2, 3, 4)]
         normals += [located.forces(label, t)[2] for label in ("push", "push 2", "push 3", "push 4")]
         assert sorted(normals) == pytest.approx(sorted(np.repeat(expected[:, 0], 2)), abs=1e-4)
+
+
+@pytest.mark.parametrize(("start", "yields"), [(0.06, False), (0.095, True)])
+def test_derivatives_of_a_push_are_those_of_differences_or_none(start, yields):
+    scene = pushed_by_finger()
+    q, v = push(1e-11).at(start)
+    options = {"rtol": 1e-12, "atol": 1e-14}
+    found = simulate(scene, q, v, 0.008, **options, sensitivities=("state",)).sensitivity(0.008)
+    assert (Boundary.STICK_THRESHOLD in found.boundary) == yields
+    if yields:  # a sticking contact at its cone shares the load of sliding ones
+        assert np.isnan(found.state).all()
+        return
+    together, step = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), 1e-4
+    for change in (np.array([*together, *np.zeros(7)]), np.array([*np.zeros(7), *together])):
+        ends = []
+        for side in (step, -step):
+            moved = pin.integrate(scene.model, q, side * change[:7])
+            run = simulate(scene, moved, v + side * change[7:], 0.008, **options)
+            ends.append((run.q[-1], run.v[-1]))
+        (q1, v1), (q0, v0) = ends
+        slope = np.concatenate([pin.difference(scene.model, q0, q1), v1 - v0]) / (2.0 * step)
+        assert found.state @ change == pytest.approx(slope, abs=1e-7)
 
 
 def test_boxes_that_slide_side_by_side_share_their_load_as_in_time_steps():

@@ -62,6 +62,7 @@ class SlopesWithin(NamedTuple):
     """Derivatives of v̇ at some times within a step, as returned by the kernel `slopes_along`.
 
     Attributes:
+        yields: Whether the motion depends on the force of a sticking contact at its friction cone.
         unique: Whether the motion determines the constraint forces λ.
     """
 
@@ -71,6 +72,7 @@ class SlopesWithin(NamedTuple):
     by_friction: Array
     turning: Array
     moved: Array
+    yields: bool
     unique: bool
 
 

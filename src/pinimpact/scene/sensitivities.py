@@ -208,6 +208,9 @@ class MotionSlopes:
         shortest = h <= _shortest(step)
         for rule in RULES:
             nodes = self._slopes_within(step, start + h * rule.nodes)
+            if nodes.yields:
+                self.saltation.boundary |= Boundary.STICK_THRESHOLD
+                return np.full_like(x, np.nan)
             if np.isfinite(nodes.by_state).all():
                 found, error = self._collocate(rule, nodes, h, x)
                 if error <= self._rtol or shortest:

@@ -9,7 +9,7 @@ from ..._compile.jit import external
 from ..._numeric.coulomb_problem import solve_compliant
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply
-from ..._numeric.tolerances import UNDETERMINED
+from ..._numeric.tolerances import ROUNDOFF, UNDETERMINED
 from .contact_forces import HELD, SLIP, delassus_of_rows, relative_residual
 from .tolerances import NEGLIGIBLE
 from .workspace import SceneWorkspace
@@ -51,7 +51,12 @@ def compliant_forces(work):
         *(delassus, free, slip, work.active_friction, none, held, work.scalar_lower, work.scalar_upper),
         *(x, np.ones(nc)),
     )
-    found = np.empty(len(solution))
+    found, largest = np.empty(len(solution)), 0.0
+    for force in x:
+        largest = max(largest, abs(force))
+    for k in range(nc):
+        if not held[k] and x[3 * k + 2] <= ROUNDOFF * largest:  # open
+            x[3 * k] = x[3 * k + 1] = x[3 * k + 2] = 0.0
     for a in range(len(solution)):
         found[a] = x[row[a]]
     if residual > UNDETERMINED or not relative_residual(work, found) <= NEGLIGIBLE:

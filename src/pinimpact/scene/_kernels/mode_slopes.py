@@ -14,12 +14,13 @@ from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
 from .active_set import close
-from .contact_forces import FREE, HELD, SLIP, slips_with_friction
+from .contact_forces import FREE, HELD, SLIP, STICK, slips_with_friction
 from .dense_output import state
 from .drives import set_saturation
 from .dynamics import invert_mass_matrix
 from .force_evaluation import evaluate_closed, places_of_contacts
 from .lie_charts import PLANAR, RIGID, ROTATION
+from .tolerances import NEGLIGIBLE
 from .workspace import SceneWorkspace
 
 
@@ -90,7 +91,8 @@ def slopes_along(
         by_state (s, nv + m or nv + 2 m, 2 nv): ∂v̇/∂(q, v), then the rows of the vanishing velocities, then,
         inside and unless forces are unique, those of `_fill_shares`; derivatives of v̇ with respect to the
         forces of the rows (s, nv, m); M⁻¹ (s, nv, nv); derivatives of v̇ with respect to friction (s, nv, n);
-        N of the joints that turn (s, k, k); ∂(contact velocity)/∂q (k, 3, nv) at the last time.
+        N of the joints that turn (s, k, k); ∂(contact velocity)/∂q (k, 3, nv) at the last time; whether a
+        sticking contact yields beside others that slip.
     """
     close(work, np.zeros((work.contacts, 2)))
     nv, stages, rows, index = len(v0), len(times), work.active_rows, work.active_index
@@ -105,6 +107,7 @@ def slopes_along(
     by_state = np.zeros((stages, nv + rows + shares, 2 * nv))
     response, inverse = np.zeros((stages, nv, rows)), np.empty((stages, nv, nv))
     turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
+    yields = False
     for i in range(stages):
         _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, free, q, v)
         closed_slopes(work, parent, scratch, axes, moved, forces)
@@ -121,10 +124,11 @@ def slopes_along(
             _add_product(inverse[i], forces, by_state[i])
             _fill_turning(work, v, turning[i])
             if shares > 0:
+                yields |= _sticking_yields(work)
                 _fill_shares(work, parent, scratch, by_state[i])
         if work.callback_failed:
             break
-    return by_state, response, inverse, by_friction, turning, moved
+    return by_state, response, inverse, by_friction, turning, moved, yields
 
 
 @declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool))
@@ -278,6 +282,20 @@ def _fill_shares(work, parent, scratch, by_state):
         for d in range(2 if work.active_mode[k] == SLIP else 0, 3):
             assign(by_state[row, :nv], changes[d])
             row += 1
+
+
+@inlined
+def _sticking_yields(work):
+    """Return whether a sticking contact is at its cone and others slip: the motion depends on its share."""
+    row, found = 0, False
+    for k in range(len(work.active_mode)):
+        sticks = work.active_mode[k] == STICK
+        if sticks and not _without_load(work, k, row):
+            bound = work.active_friction[k] * work.solution[row + 2]
+            tangential = np.sqrt(work.solution[row] ** 2 + work.solution[row + 1] ** 2)
+            found |= bound - tangential <= NEGLIGIBLE * bound
+        row += 1 if work.active_mode[k] == SLIP else 3
+    return found and slips_with_friction(work)
 
 
 @inlined
