@@ -279,11 +279,9 @@ class SceneDynamics:
         return bool(unbounded)
 
     @property
-    def forces_doubtful(self) -> bool:
-        """Whether the forces at the start of a smooth motion may violate the bounds of their modes."""
-        doubtful = float(force_bound.doubtful_margin(self.work))
-        margin: float = force_bound.margin_of_forces(self.work, doubtful)
-        return margin <= doubtful
+    def doubtful_margin(self) -> float:
+        """Force margin [N] up to which, given the errors, the forces may violate their bounds."""
+        return float(force_bound.doubtful_margin(self.work))
 
     @property
     def constrained(self) -> bool:
@@ -376,7 +374,6 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         smooth_motion.begin,
         smooth_motion.modes_continue,
         smooth_motion.replace_force,
-        force_bound.margin_of_forces,
         force_bound.doubtful_margin,
         step_dop853.attempt,
         smooth_motion.finish,

@@ -448,7 +448,7 @@ class Instant:
         if jammed >= 0:
             return jammed, False
         same = bool((work.modes == before).all())
-        work.force_bound_ignored, work.force_bound_lost = constrained and same, False
+        work.force_bound_ignored = constrained and same
         if not same or work.driven:
             self._record_modes()
         return -1, converged

@@ -245,7 +245,10 @@ class Integrator:
             self.shapes.review()
         self.dynamics.set_saturation(state.q, state.v)
         state.bounce = BEYOND * self.dynamics.begin(state.t, state.q, state.v)
-        work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
+        doubtful = self.dynamics.doubtful_margin
+        work.force_bound_ignored = bool(work.force_bound_ignored) and work.force_margin <= doubtful
+        yields = work.force_bound_ignored and not work.forces_unique and work.force_margin >= -doubtful
+        work.least_margin = -2.0 * doubtful if yields else 0.0  # forces at their bounds may leave them later
         unique = work.forces_unique
         if state.forces_unique and not unique:
             self.instant.note("The contact forces are not unique; those of equally stiff contacts are used.")
@@ -451,7 +454,6 @@ class Integrator:
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
-        again = bounded and bool(self.work.force_bound_ignored)
         if arriving is None:
             self.instant.resolve_jam(leaving=bounded)
         self._settle_and_begin(arriving)
@@ -459,7 +461,6 @@ class Integrator:
         if bounded and self.work.force_bound_ignored:
             self.instant.set_modes_ahead(step)
             self._begin_motion()
-        self.work.force_bound_lost = again and bool(self.work.force_bound_ignored)
         self._sample()
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:

@@ -2,64 +2,139 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..._compile.declared import declared
-from ..._compile.jit import external
+from ..._compile.jit import external, inlined
 from ..._numeric.coulomb_problem import solve_compliant
-from ..._numeric.loops import assign, flags
-from ..._numeric.products import apply
-from ..._numeric.tolerances import ROUNDOFF, UNDETERMINED
-from .contact_forces import HELD, SLIP, delassus_of_rows, relative_residual
-from .tolerances import NEGLIGIBLE
+from ..._numeric.least_norm import least_norm
+from ..._numeric.loops import assign, flags, repeated
+from ..._numeric.products import apply, apply_symmetric, dot
+from ..._numeric.tolerances import COMPUTED, ROUNDOFF, TINY, UNDETERMINED
+from .contact_forces import HELD, SLIP, STICK, delassus_of_rows
 from .workspace import SceneWorkspace
 
 
 @declared(SceneWorkspace, result=bool)
 @external
 def compliant_forces(work):
-    """Replace `work.solution` by the limit (11.12) within the bounds; return whether it keeps the modes.
+    """Replace `work.solution` by the limit (11.12) within the bounds; return whether it was found.
 
-    The state has just been evaluated, and `work.solution` solves (9.3) without bounds; `work.target` is
-    replaced by what it satisfies, since redundant rows contradict each other by rounding errors.
+    The state has just been evaluated, and `work.solution` solves (9.3) without bounds. Only contacts and
+    scalar rows are changed that are coupled to a force beyond its bounds. If the limit does not keep the
+    modes, it is corrected to satisfy (9.3), and has left its bounds then.
     """
     modes, index, solution = work.active_mode, work.scalar_velocity, work.solution
-    n, nc, ns = work.nv, len(modes), len(index)
-    size = 3 * nc + ns
-    rows, free, x = np.zeros((size, n)), np.empty(size), np.zeros(size)
-    row, slip = np.empty(len(solution), dtype=np.int64), np.zeros((nc, 2))
-    held, none = flags(nc, False), np.zeros(nc)
-    a = 0
-    for k in range(nc):
-        held[k] = modes[k] == HELD
-        for d in range(3):
-            assign(rows[3 * k + d], work.contact_jacobian[k, d])
-            free[3 * k + d] = work.contact_acceleration[k, d]
-            if modes[k] != SLIP or d == 2:
-                row[a], a = 3 * k + d, a + 1
-        if modes[k] == SLIP:
-            assign(slip[k], work.slip_direction[k])
-    for m in range(ns):
-        rows[3 * nc + m, index[m]] = work.joint_metres[index[m]]
-        row[a], a = 3 * nc + m, a + 1
-    apply(work.system, solution, work.target)
-    for a in range(len(solution)):
-        free[row[a]] = -work.target[a]
+    chosen = coupled_to_violations(work)
+    nc = ns = 0
+    for k in range(len(chosen)):
+        if chosen[k]:
+            nc, ns = nc + (k < len(modes)), ns + (k >= len(modes))
+    size, n = 3 * nc + ns, work.nv
+    rows, free, x, row = np.zeros((size, n)), np.empty(size), np.zeros(size), repeated(size, -1)
+    slip, held, mu = np.zeros((nc, 2)), flags(nc, False), np.empty(nc)
+    lower, upper = np.empty(ns), np.empty(ns)
+    apply(work.system, solution, work.target)  # redundant rows contradict each other by rounding errors
+    a = b = 0
+    for k in range(len(modes)):
+        slips = modes[k] == SLIP
+        if chosen[k]:
+            i = b // 3
+            held[i], mu[i] = modes[k] == HELD, work.active_friction[k]
+            for d in range(3):
+                assign(rows[b + d], work.contact_jacobian[k, d])
+                free[b + d] = work.contact_acceleration[k, d]
+                if not slips or d == 2:
+                    row[b + d] = a if slips else a + d
+            if slips:
+                assign(slip[i], work.slip_direction[k])
+                for d in range(2):
+                    x[b + d] = -mu[i] * slip[i, d] * solution[a]
+            b += 3
+        a += 1 if slips else 3
+    for m in range(len(index)):
+        if chosen[len(modes) + m]:
+            lower[b - 3 * nc], upper[b - 3 * nc] = work.scalar_lower[m], work.scalar_upper[m]
+            rows[b, index[m]], row[b], b = work.joint_metres[index[m]], a + m, b + 1
+    for b in range(size):
+        if row[b] >= 0:
+            free[b], x[b] = -work.target[row[b]], solution[row[b]]
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, work.minverse, response, delassus)
-    residual = solve_compliant(
-        *(delassus, free, slip, work.active_friction, none, held, work.scalar_lower, work.scalar_upper),
-        *(x, np.ones(nc)),
-    )
-    found, largest = np.empty(len(solution)), 0.0
+    none = np.zeros(nc)
+    residual = solve_compliant(delassus, free, slip, mu, none, held, lower, upper, x, np.ones(nc))
+    if residual > UNDETERMINED:
+        return False
+    largest = 0.0
     for force in x:
         largest = max(largest, abs(force))
-    for k in range(nc):
-        if not held[k] and x[3 * k + 2] <= ROUNDOFF * largest:  # open
-            x[3 * k] = x[3 * k + 1] = x[3 * k + 2] = 0.0
-    for a in range(len(solution)):
-        found[a] = x[row[a]]
-    if residual > UNDETERMINED or not relative_residual(work, found) <= NEGLIGIBLE:
-        return False
-    assign(solution, found)
+    for i in range(nc):
+        if not held[i] and x[3 * i + 2] <= ROUNDOFF * largest:  # open
+            x[3 * i] = x[3 * i + 1] = x[3 * i + 2] = 0.0
+    for b in range(size):
+        if row[b] >= 0:
+            solution[row[b]] = x[b]
+    satisfy(work, COMPUTED * largest)
     return True
+
+
+@inlined
+def coupled_to_violations(work):
+    """Return flags of contacts, then scalar rows, that are coupled by (9.3) to forces beyond their bounds."""
+    modes, system, solution = work.active_mode, work.system, work.solution
+    nc, size = len(modes), len(solution)
+    items = nc + len(work.scalar_velocity)
+    chosen, owner = flags(items, False), np.empty(size, dtype=np.int64)
+    a = 0
+    for k in range(items):
+        rows = 3 if k < nc and modes[k] != SLIP else 1
+        for d in range(rows):
+            owner[a + d] = k
+        a += rows
+        last = solution[a - 1]
+        if k >= nc:
+            chosen[k] = last < work.scalar_lower[k - nc] or last > work.scalar_upper[k - nc]
+        elif modes[k] == SLIP:
+            chosen[k] = last < 0.0
+        elif modes[k] == STICK:
+            tangent = math.hypot(solution[a - 3], solution[a - 2])
+            chosen[k] = last < 0.0 or tangent > work.active_friction[k] * last
+    grows = True
+    while grows:
+        grows = False
+        for a in range(size):
+            for b in range(size):
+                if system[a, b] != 0.0 and chosen[owner[a]] != chosen[owner[b]]:
+                    chosen[owner[a]] = chosen[owner[b]] = grows = True
+    return chosen
+
+
+@inlined
+def satisfy(work, rounding):
+    """Correct `work.solution` so that it satisfies (9.3); changes of `rounding` keep zeros and bounds.
+
+    Rows are scaled to an inverse inertia of one without friction: light bodies would decide the rank.
+    """
+    system, target, solution, rows = work.system, work.target, work.solution, work.equation_rows
+    size = len(solution)
+    scaled, right, change = np.empty((size, size)), np.empty(size), np.empty(size)
+    scale, alone = np.empty(size), np.empty(work.nv)
+    apply(system, solution, right)
+    for a in range(size):
+        apply_symmetric(work.minverse, rows[a], alone)
+        scale[a] = 1.0 / math.sqrt(max(dot(rows[a], alone), TINY))
+        right[a] = scale[a] * (target[a] - right[a])
+    for a in range(size):
+        for b in range(size):
+            scaled[a, b] = scale[a] * system[a, b] * scale[b]
+    least_norm(scaled, right, work.rank_tolerance, change, np.empty((0, size)))
+    for a in range(size):
+        change[a] *= scale[a]
+        m = a - size + len(work.scalar_lower)
+        bounded = solution[a] == 0.0
+        if m >= 0:
+            bounded = solution[a] == work.scalar_lower[m] or solution[a] == work.scalar_upper[m]
+        if not bounded or abs(change[a]) > rounding:
+            solution[a] += change[a]

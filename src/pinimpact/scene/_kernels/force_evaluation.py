@@ -6,13 +6,10 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, jit
-from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate
 from .active_set import close
-from .contact_forces import apply_forces
 from .dynamics import evaluate, set_state
-from .widest_margin import least_admissible
 from .workspace import SceneWorkspace
 
 
@@ -23,13 +20,7 @@ def evaluate_closed(work, t, q, v, directions, unique):
     close(work, directions)
     work.forces_unique = unique
     set_state(work, q, v)
-    out = np.empty(len(v) + 4)
-    evaluate(work, t, out)
-    if not (work.callback_failed or work.forces_unique) and work.force_margin < 0.0:
-        admissible = work.solution.copy()
-        least_admissible(work, admissible)
-        assign(work.solution, admissible)
-        apply_forces(work, out[: len(v)], out[len(v) + 2 :])
+    evaluate(work, t, np.empty(len(v) + 4))
 
 
 @declared(

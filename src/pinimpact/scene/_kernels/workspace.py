@@ -179,7 +179,7 @@ class SceneWorkspace(Workspace):
     drift_at_end = real("constraint drift of the active set at the end, see `constraint_drift`")
     growth = real("factor from this step size to the next one")
     force_bound_ignored = flag("whether forces may leave their bounds since no other modes were found")
-    force_bound_lost = flag("whether they may although no forces of the modes satisfy their bounds")
+    least_margin = real("margin at which they have left them; if they may, 0: never [N]")
     event_time = real("time of the event [s]; infinite if there is none, −inf to request a shorter step")
     event_kind = integer("position of the event in the registry")
     event_index = integer("number of the contact, limit or velocity")
