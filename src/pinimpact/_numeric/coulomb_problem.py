@@ -69,12 +69,9 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         The residual of the law relative to u_free; above `tolerances.USABLE` if no solution was found.
     """
     system = delassus, free, velocity, mu, least, held, lower, upper
-    problem, size = velocity_problem(*system, np.ones(len(mu))), len(x)
-    m = len(problem.mass)
-    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(problem, *profile)
-    now = iterate_of(problem, np.zeros(m), np.empty(size))
-    f, trial, r, matrix = np.zeros(size), np.empty(size), np.empty(size), np.empty((m, m))
+    problem, profile, now, matrix = in_velocities(*system, np.ones(len(mu)))
+    size = len(x)
+    f, trial, r = np.zeros(size), np.empty(size), np.empty(size)
     part, last, best = 1.0, math.inf, math.inf
     filled(x, 0.0)
     for _ in range(ITERATIONS):
@@ -115,13 +112,9 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
     have the symmetry of the problem.
     """
     system, size = (delassus, free, velocity, mu, least, held, lower, upper), len(free)
-    problem = velocity_problem(*system, compliance)
-    m = len(problem.mass)
-    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(problem, *profile)
-    now = iterate_of(problem, np.zeros(m), np.empty(size))
+    problem, profile, now, matrix = in_velocities(*system, compliance)
     add_transposed(problem.values, problem.columns, problem.counts, x, now.w)
-    none, r, matrix, solved = np.zeros(size), np.empty(size), np.empty((m, m)), True
+    none, r, solved = np.zeros(size), np.empty(size), True
     for part in (2.0, 1.0):
         fill_compliances(problem, part * SMALL, np.empty(size), r)
         _, found = solve_compliances(problem, profile, r, none, ROUNDING, now, matrix, False)
@@ -130,6 +123,16 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
             x[a] = 2.0 * now.f[a] - x[a] if part == 1.0 else now.f[a]
     best = polish(*system, x) if solved else math.inf
     return best if best <= UNDETERMINED else solve_coulomb(*system, x)
+
+
+@inlined
+def in_velocities(delassus, free, velocity, mu, least, held, lower, upper, compliance):
+    """Return the problem in velocities, its profile, an `Iterate` with w = 0, and scratch (m, m)."""
+    problem = velocity_problem(delassus, free, velocity, mu, least, held, lower, upper, compliance)
+    m = len(problem.mass)
+    profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    find_profile(problem, *profile)
+    return problem, profile, iterate_of(problem, np.zeros(m), np.empty(len(free))), np.empty((m, m))
 
 
 @inlined

@@ -287,14 +287,12 @@ def _fill_shares(work, parent, scratch, by_state):
 @inlined
 def _sticking_yields(work):
     """Return whether a sticking contact is at its cone and others slip: the motion depends on its share."""
-    row, found = 0, False
+    found = False
     for k in range(len(work.active_mode)):
-        sticks = work.active_mode[k] == STICK
-        if sticks and not _without_load(work, k, row):
-            bound = work.active_friction[k] * work.solution[row + 2]
-            tangential = np.sqrt(work.solution[row] ** 2 + work.solution[row + 1] ** 2)
-            found |= bound - tangential <= NEGLIGIBLE * bound
-        row += 1 if work.active_mode[k] == SLIP else 3
+        force = work.contact_force[k]
+        if work.active_mode[k] == STICK and force[2] != 0.0:
+            bound = work.active_friction[k] * force[2]
+            found |= bound - np.sqrt(force[0] ** 2 + force[1] ** 2) <= NEGLIGIBLE * bound
     return found and slips_with_friction(work)
 
 
