@@ -19,7 +19,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from pinimpact._numeric.coulomb_problem import solve_coulomb
+from pinimpact._numeric.augmented_newton import coulomb_law
+from pinimpact._numeric.coulomb_problem import CoulombProblem, solve_coulomb
 from pinimpact._numeric.tolerances import USABLE
 
 Problem = tuple[Any, ...]
@@ -29,7 +30,8 @@ Problem = tuple[Any, ...]
 @numba.njit
 def alone(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel from Python."""
-    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
+    law = coulomb_law(mu, velocity, held, lower, upper)
+    return solve_coulomb(CoulombProblem(delassus, free, law), x)
 
 
 def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from pinimpact._numeric.coulomb_problem import solve_coulomb
+from pinimpact._numeric.augmented_newton import coulomb_law
+from pinimpact._numeric.coulomb_problem import CoulombProblem, solve_coulomb
 from pinimpact.scene._kernels import contact_forces
 from pinimpact.scene._kernels.acting_forces import find_forces, jammed_contact
 
@@ -17,7 +18,8 @@ from pinimpact.scene._kernels.acting_forces import find_forces, jammed_contact
 @numba.njit
 def solve(delassus, free, velocity, mu, held, lower, upper, x):
     """Call `solve_coulomb`, which has no Python wrapper."""
-    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
+    law = coulomb_law(mu, velocity, held, lower, upper)
+    return solve_coulomb(CoulombProblem(delassus, free, law), x)
 
 
 def contacts_at_rest(seed, contacts, velocities):
@@ -287,8 +289,8 @@ def test_contact_jammed_by_held_joints_has_solution_with_yielding_joints(joints,
 @numba.njit
 def find(delassus, free, slip, mu, held, lower, upper, x, pressed, before):
     """Call `find_forces`, which has no Python wrapper."""
-    least = np.zeros(len(mu))
-    return find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed, before, True)
+    problem = CoulombProblem(delassus, free, coulomb_law(mu, slip, held, lower, upper))
+    return find_forces(problem, x, pressed, before, True)
 
 
 def solution_from(delassus, free, slip, mu, bound, pressed, before=0.0):
@@ -520,7 +522,8 @@ def test_held_joint_beside_sliding_contact_stays_held_if_it_could_also_move():
 @numba.njit
 def call_jammed_contact(delassus, free, slip, mu, held, x):
     """Call `jammed_contact`, which has no Python wrapper."""
-    return jammed_contact(delassus, free, slip, mu, held, x)
+    none = np.zeros(0)
+    return jammed_contact(CoulombProblem(delassus, free, coulomb_law(mu, slip, held, none, none)), x)
 
 
 def test_painleve_contact_is_detected_unless_other_forces_prevent_penetration():

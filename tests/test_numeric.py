@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pinimpact._numeric import cone_program, elimination, least_norm, lu, semidefinite
+from pinimpact._numeric import elimination, least_norm, lu, semidefinite
 from pinimpact.scene._kernels.step_impulses import invert_trees
 
 TOLERANCE = 1e-9
@@ -86,43 +86,6 @@ def test_a_definite_system_is_solved_and_a_singular_one_refused(seed, size):
     assert x == pytest.approx(np.linalg.solve(root @ root.T, right), rel=1e-9, abs=1e-12)
     root = matrix_of_rank(seed, size, size, size - 1)
     assert not solve_symmetric(root @ root.T, right, x)
-
-
-@numba.njit
-def solve_cone_program(P, c, G, h, lines, sizes, x, s, z):
-    """Call the kernel from Python."""
-    return cone_program.cone_program(P, c, G, h, lines, sizes, 1e-12, x, s, z)
-
-
-@COMPILES
-@given(st.integers(0, 10**6), st.integers(1, 6), st.integers(0, 3), st.integers(0, 3), st.integers(0, 6))
-def test_a_cone_program_comes_with_the_proof_of_its_optimum(seed, size, lines, cones, rank):
-    """Both sides feasible and without a gap: no other x does better, whoever found this one."""
-    rng = np.random.default_rng(seed)
-    widths = rng.integers(1, 4, size=cones)
-    rows = lines + int(widths.sum())
-    if rows == 0:
-        return
-    G = rng.normal(size=(rows, size))
-    factor = matrix_of_rank(seed, size, size, min(rank, size))
-    P = factor @ factor.T
-    starts = lines + np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(int) if cones else []
-    inside = np.concatenate([np.ones(lines), np.zeros(rows - lines)])
-    inside[np.asarray(starts, dtype=int)] = 1.0
-    # strictly feasible on both sides: an x with slack, and multipliers that balance c
-    h = G @ rng.normal(size=size) + inside
-    c = -P @ rng.normal(size=size) - G.T @ inside
-    x, s, z = np.empty(size), np.empty(rows), np.empty(rows)
-    reached = solve_cone_program(P, c, G, h, lines, widths, x, s, z)
-    scale = 1.0 + np.abs(x).max() + np.abs(z).max()
-    assert reached <= 1e-6 * scale
-    assert G @ x + s == pytest.approx(h, abs=1e-6 * scale)
-    assert P @ x + c + G.T @ z == pytest.approx(0.0, abs=1e-6 * scale)
-    assert s @ z == pytest.approx(0.0, abs=1e-6 * scale)
-    for vector in (s, z):
-        assert vector[:lines].min(initial=0.0) >= 0.0
-        for start, width in zip(starts, widths, strict=True):
-            assert vector[start] >= np.linalg.norm(vector[start + 1 : start + width]) * (1.0 - 1e-12)
 
 
 @numba.njit

@@ -607,7 +607,7 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=Non
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     tree = np.zeros(m, dtype=np.int64)
     nc = len(mu)
-    law = Law(mu, np.zeros((nc, 2)), np.zeros(nc), np.zeros(nc, dtype=bool), none, none)
+    law = Law(mu, np.zeros((nc, 2)), np.zeros(nc), np.full(nc, np.inf), np.zeros(nc, dtype=bool), none, none)
     problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, law, compliance)
     return step_impulses(
         *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11),

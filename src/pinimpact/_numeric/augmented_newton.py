@@ -5,9 +5,10 @@ computes from impulses f the next ones, f⁺, by
 
     f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺.                                                 (16.3)
 
-r > 0 is a compliance for each contact or row. For a contact with the least normal impulse l, mostly zero,
+r > 0 is a compliance for each contact or row. For a contact whose normal impulse has the bounds l, mostly 0,
+and h, mostly ∞,
 
-    P(z) = (Π_ρ(z_t), p),   p = max(z_n, l),   ρ = μ p,                                                 (16.4)
+    P(z) = (Π_ρ(z_t), p),   p = min(max(z_n, l), h),   ρ = μ p,                                         (16.4)
 
 where Π_ρ is the projection onto the disc of radius ρ, or −ρσ for a contact that slides in the direction σ.
 For a held contact P(z) = z; for a scalar row P is the projection onto its bounds.
@@ -25,7 +26,7 @@ import numpy as np
 from .._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
-from .loops import flags
+from .loops import filled, flags
 from .products import dot
 from .profile import apply_within, eliminate_profile, substitute_profile
 from .tolerances import TINY
@@ -49,16 +50,24 @@ class Law(NamedTuple):
     friction: Floats  # (nc,) coefficients of friction
     slip: FloatRows  # (nc, 2) slip velocities of sliding contacts; zero for contacts that can stick
     least: Floats  # (nc,) least normal impulses, at least zero
+    most: Floats  # (nc,) largest normal impulses, which may be infinite
     held: Flags  # (nc,) contacts whose impulses have no bounds
     lower: Floats  # (ns,) lower bounds of scalar impulses
     upper: Floats  # (ns,) upper bounds of scalar impulses
 
 
 @inlined
-def law_of_steps(friction, lower, upper):
-    """Return the `Law` of contacts that can stick and open; see there."""
+def coulomb_law(friction, slip, held, lower, upper):
+    """Return the `Law` of contacts whose normal impulses are at least zero; arguments as there."""
     nc = len(friction)
-    return Law(friction, np.zeros((nc, 2)), np.zeros(nc), flags(nc, False), lower, upper)
+    return Law(friction, slip, np.zeros(nc), filled(np.empty(nc), math.inf), held, lower, upper)
+
+
+@inlined
+def law_of_steps(friction, lower, upper):
+    """Return the `Law` of contacts that can stick and open; arguments as there."""
+    nc = len(friction)
+    return coulomb_law(friction, np.zeros((nc, 2)), flags(nc, False), lower, upper)
 
 
 class VelocityProblem(NamedTuple):
@@ -113,7 +122,7 @@ def length(x, y):
 @external
 def impulses(law, u, before, r, out):
     """Fill out (n,) with f⁺ = P(f − u/r) of (16.3), f = `before` (n,)."""
-    mu, slip, least, held, lower, upper = law
+    mu, slip, least, most, held, lower, upper = law
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
@@ -121,7 +130,7 @@ def impulses(law, u, before, r, out):
         j = 3 * i
         if held[i]:
             continue
-        out[j + 2] = max(out[j + 2], least[i])
+        out[j + 2] = min(max(out[j + 2], least[i]), most[i])
         radius, speed = mu[i] * out[j + 2], length(slip[i, 0], slip[i, 1])
         if speed > 0.0:
             out[j], out[j + 1] = -radius * slip[i, 0] / speed, -radius * slip[i, 1] / speed
@@ -141,16 +150,16 @@ def fill_derivative(law, i, z1, z2, z3, coupled, d):
     ∂ρ/∂z_n is left out unless `coupled`.
     """
     mu, least = law.friction[i], law.least[i]
-    closed = z3 > least or law.held[i]
-    if not closed and least == 0.0:
+    free = least < z3 < law.most[i] or law.held[i]
+    radius = mu * min(max(z3, least), law.most[i])
+    if not free and radius == 0.0:
         return True
     for a in range(3):
         for b in range(3):
             d[a, b] = 0.0
-    d[2, 2] = 1.0 if closed else 0.0
-    radius, speed = mu * max(z3, least), length(law.slip[i, 0], law.slip[i, 1])
+    d[2, 2], speed = 1.0 if free else 0.0, length(law.slip[i, 0], law.slip[i, 1])
     if speed > 0.0 and not law.held[i]:
-        if coupled and closed:
+        if coupled and free:
             d[0, 2], d[1, 2] = -mu * law.slip[i, 0] / speed, -mu * law.slip[i, 1] / speed
         return False
     size = length(z1, z2)
@@ -161,7 +170,7 @@ def fill_derivative(law, i, z1, z2, z3, coupled, d):
     part = radius / size
     d[0, 0], d[1, 1] = part * s2 * s2, part * s1 * s1
     d[0, 1] = d[1, 0] = -part * s1 * s2
-    if coupled and closed:
+    if coupled and free:
         d[0, 2], d[1, 2] = mu * s1, mu * s2
     return False
 

@@ -1,7 +1,7 @@
 """Contact problems with Coulomb's law and bounded scalar rows, and their solver. (theory.md, 11)
 
     u = u_free + W f,
-    contacts:     0 ≤ f_3 − l ⟂ u_3 ≥ 0,  |f_t| ≤ μ f_3,  f_t = −μ f_3 u_t/|u_t| where u_t ≠ 0,
+    contacts:     |f_t| ≤ μ f_3,  f_t = −μ f_3 u_t/|u_t| where u_t ≠ 0,  and f_3 and u_3 like
     scalar rows:  lower ≤ f ≤ upper,  u = 0 between them, u ≥ 0 at lower, u ≤ 0 at upper.
 
 Either u are velocities and f impulses, or u accelerations and f forces. The friction of a sliding contact is
@@ -16,24 +16,22 @@ active set then converges to rounding.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .augmented_lagrangian import FINER, ITERATIONS, QUICK, fill_compliances, iterate_of
 from .augmented_newton import Law, VelocityProblem, add_transposed, find_profile, solve_compliances
 from .elimination import solve
 from .least_norm import least_norm
-from .loops import assign, filled, repeated
+from .loops import assign, filled, ones, repeated
 from .products import apply
 from .semidefinite import factor
 from .tolerances import COMPUTED, EXACT, HALF_DIGITS, RANK, ROUNDING, ROUNDOFF, SMALL, UNDETERMINED
 from .tolerances import USABLE as USABLE  # re-exported
-
-SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
-"""Types of W, u_free, slip velocities, friction, least normal forces, held, lower, upper bounds, forces."""
 
 LARGEST = 10.0
 """Largest r tried, relative to the largest diagonal entry of W."""
@@ -41,13 +39,18 @@ LARGEST = 10.0
 POLISH = 8
 """Largest number of steps of Newton's method per trial."""
 
-AS_FORCES_SAY = np.int64(-1)
-"""State of a contact in `linearize`: open or closed as its force and acceleration imply."""
+
+class CoulombProblem(NamedTuple):
+    """A contact problem of nc contacts, three rows (t₁, t₂, n) each, and ns scalar rows; m = 3 nc + ns."""
+
+    delassus: FloatRows  # (m, m) W
+    free: Floats  # (m,) u_free
+    law: Law
 
 
-@declared(*SYSTEM, result=float)
+@declared(CoulombProblem, FLOATS, result=float)
 @external
-def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
+def solve_coulomb(problem, x):
     """Solve a contact problem for forces x.
 
     Newton's method starts from each iterate of (16.3) until it converges, preferably to forces whose
@@ -55,28 +58,20 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     increase where (16.3) is not solved.
 
     Args:
-        delassus: (m, m) W for nc contacts (t₁, t₂, n), then ns scalar rows; m = 3 nc + ns.
-        free: (m,) u_free.
-        velocity: (nc, 2) slip velocities of sliding contacts; zero for contacts that can stick.
-        mu: (nc,) coefficients of friction.
-        least: (nc,) least normal forces l ≥ 0.
-        held: (nc,) contacts whose forces have no bounds.
-        lower: (ns,) lower bounds of scalar forces, which may be infinite.
-        upper: (ns,) upper bounds.
+        problem: The `CoulombProblem`.
         x: (m,) is overwritten with the solution.
 
     Returns:
         The residual of the law relative to u_free; above `tolerances.USABLE` if no solution was found.
     """
-    system = delassus, free, velocity, mu, least, held, lower, upper
-    problem, profile, now, matrix = in_velocities(*system, np.ones(len(mu)))
+    velocities, profile, now, matrix = in_velocities(problem, ones(len(problem.law.friction)))
     size = len(x)
     f, trial, r = np.zeros(size), np.empty(size), np.empty(size)
     part, last, best = 1.0, math.inf, math.inf
     filled(x, 0.0)
     for _ in range(ITERATIONS):
-        fill_compliances(problem, part, np.empty(size), r)
-        _, solved = solve_compliances(problem, profile, r, f, ROUNDING, now, matrix, False)
+        fill_compliances(velocities, part, np.empty(size), r)
+        _, solved = solve_compliances(velocities, profile, r, f, ROUNDING, now, matrix, False)
         if not solved:
             part /= FINER
             if part > LARGEST:
@@ -89,10 +84,10 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         if change > QUICK * last and part > HALF_DIGITS:  # or else f grows until u is lost in rounding
             part *= FINER
         last = change
-        error = polish(*system, trial)
+        error = polish(problem, trial)
         if not (error < best or error <= USABLE):
             continue
-        lasts = error <= USABLE and orientation(*system, trial) >= 0
+        lasts = error <= USABLE and orientation(problem, trial) >= 0
         if lasts or best > USABLE:
             best = error
             assign(x, trial)
@@ -101,9 +96,9 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     return best
 
 
-@declared(*SYSTEM, FLOATS)
+@declared(CoulombProblem, FLOATS, FLOATS, result=float)
 @external
-def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
+def solve_compliant(problem, x, compliance):
     """Solve as `solve_coulomb`; of several solutions compute the limit of small compliances. (11.12)
 
     The solutions of (16.3) from f = 0 for r = 2ε C and r = ε C are extrapolated to ε = 0, where Newton's
@@ -111,34 +106,36 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
     of contacts and 1 for scalar rows. Newton's method starts from the velocities of the given x, which should
     have the symmetry of the problem.
     """
-    system, size = (delassus, free, velocity, mu, least, held, lower, upper), len(free)
-    problem, profile, now, matrix = in_velocities(*system, compliance)
-    add_transposed(problem.values, problem.columns, problem.counts, x, now.w)
+    velocities, profile, now, matrix = in_velocities(problem, compliance)
+    size = len(x)
+    add_transposed(velocities.values, velocities.columns, velocities.counts, x, now.w)
     none, r, solved = np.zeros(size), np.empty(size), True
     for part in (2.0, 1.0):
-        fill_compliances(problem, part * SMALL, np.empty(size), r)
-        _, found = solve_compliances(problem, profile, r, none, ROUNDING, now, matrix, False)
+        fill_compliances(velocities, part * SMALL, np.empty(size), r)
+        _, found = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, False)
         solved = solved and found
         for a in range(size):
             x[a] = 2.0 * now.f[a] - x[a] if part == 1.0 else now.f[a]
-    best = polish(*system, x) if solved else math.inf
-    return best if best <= UNDETERMINED else solve_coulomb(*system, x)
+    best = polish(problem, x) if solved else math.inf
+    return best if best <= UNDETERMINED else solve_coulomb(problem, x)
 
 
 @inlined
-def in_velocities(delassus, free, velocity, mu, least, held, lower, upper, compliance):
+def in_velocities(problem, compliance):
     """Return the problem in velocities, its profile, an `Iterate` with w = 0, and scratch (m, m)."""
-    problem = velocity_problem(delassus, free, velocity, mu, least, held, lower, upper, compliance)
-    m = len(problem.mass)
+    velocities = velocity_problem(problem, compliance)
+    m = len(velocities.mass)
     profile = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(problem, *profile)
-    return problem, profile, iterate_of(problem, np.zeros(m), np.empty(len(free))), np.empty((m, m))
+    find_profile(velocities, *profile)
+    now = iterate_of(velocities, np.zeros(m), np.empty(len(problem.free)))
+    return velocities, profile, now, np.empty((m, m))
 
 
 @inlined
-def velocity_problem(delassus, free, velocity, mu, least, held, lower, upper, compliance):
+def velocity_problem(problem, compliance):
     """Return the `VelocityProblem` with M = 1 of a contact problem, by the factor of W = J Jᵀ."""
-    size, nc = len(free), len(mu)
+    delassus, free, law = problem
+    size, nc = len(free), len(law.friction)
     factors, order, scaled = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty((size, size))
     d, unused = np.empty(size), np.empty(size)
     scale(delassus, free, nc, d, unused, unused)  # rows of different units have one rank
@@ -151,14 +148,15 @@ def velocity_problem(delassus, free, velocity, mu, least, held, lower, upper, co
         for k in range(m):
             values[a, k], columns[a, k] = factors[a, k] / d[a], k
     return VelocityProblem(
-        *(np.eye(m), np.eye(m), np.arange(m), values, columns, repeated(size, m), free),
-        *(Law(mu, velocity, least, held, lower, upper), compliance),
+        *(np.eye(m), np.eye(m), np.arange(m), values, columns, repeated(size, m)),
+        *(free, law, compliance),
     )
 
 
 @inlined
-def scales_of(delassus, free, least):
+def scales_of(problem):
     """Return the unit of `scale`, and the arrays `accelerations`, scale_a and scale_f of `residual`."""
+    delassus, free, least = problem.delassus, problem.free, problem.law.least
     size, nc = len(free), len(least)
     d, scale_a, scale_f, loads = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     for a in range(size):  # the magnitude of u, also where u_free is zero and only `least` acts
@@ -168,29 +166,30 @@ def scales_of(delassus, free, least):
     return scale(delassus, loads, nc, d, scale_a, scale_f), (np.empty(size), scale_a, scale_f)
 
 
-@declared(*SYSTEM, result=float)
+@declared(CoulombProblem, FLOATS, result=float)
 @external
-def polish(delassus, free, velocity, mu, least, held, lower, upper, x):
+def polish(problem, x):
     """Refine forces x by Newton's method as long as it halves the residual; return that. See `newton`."""
-    system = delassus, free, velocity, mu, least, held, lower, upper, x
-    unit, scales = scales_of(delassus, free, least)
+    unit, scales = scales_of(problem)
     if unit == 0.0:
         filled(x, 0.0)
         return 0.0
-    now, before = residual(*system, *scales), math.inf
+    now, before = residual(problem, x, *scales), math.inf
     while EXACT < now < 0.5 * before:
         before = now
-        now = newton(*system, *scales)
+        now = newton(problem, x, *scales)
     return now
 
 
-@declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@declared(CoulombProblem, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
 @external
-def residual(delassus, free, velocity, mu, least, held, lower, upper, x, accelerations, scale_a, scale_f):
+def residual(problem, x, accelerations, scale_a, scale_f):
     """Return the largest residual of Coulomb's law over the rows, scaled by `scale`; infinite if not finite.
 
     `accelerations` (m,) is overwritten with u = u_free + W x. Other arguments as in `solve_coulomb`.
     """
+    delassus, free, law = problem
+    mu, velocity, least, most, held, lower, upper = law
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
     apply(delassus, x, accelerations)
@@ -207,7 +206,7 @@ def residual(delassus, free, velocity, mu, least, held, lower, upper, x, acceler
         if held[i]:
             worst = max(worst, abs(an), abs(a1), abs(a2))
             continue
-        worst = max(worst, abs(fn - max(least[i] / scale_f[b], fn - an)))
+        worst = max(worst, abs(fn - min(max(fn - an, least[i] / scale_f[b]), most[i] / scale_f[b])))
         if mu[i] == 0.0:
             continue
         speed = math.hypot(velocity[i, 0], velocity[i, 1])
@@ -265,31 +264,26 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
     return unit
 
 
-@declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@declared(CoulombProblem, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
 @external
-def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
+def newton(problem, x, a_now, scale_a, scale_f):
     """Refine forces x to rounding by Newton's method on their active set; return the residual.
 
     Other arguments as in `residual`; x is kept where a step does not reduce the residual.
     """
-    best = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+    best = residual(problem, x, a_now, scale_a, scale_f)
     if not 0.0 < best < math.inf:
         return best
-    size = len(free)
+    size = len(x)
     system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
-    trial, no_basis, undecided = x.copy(), np.empty((0, size)), repeated(len(mu), AS_FORCES_SAY)
+    trial, no_basis = x.copy(), np.empty((0, size))
     for _ in range(POLISH):
         answer_signals()
-        linearize(
-            *(delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f),
-            *(undecided, system, right),
-        )
+        linearize(problem, trial, a_now, scale_a, scale_f, system, right)
         least_norm(system, right, COMPUTED, step, no_basis)
         for a in range(size):
             trial[a] += step[a] * scale_f[a]
-        now = residual(
-            delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
-        )
+        now = residual(problem, trial, a_now, scale_a, scale_f)
         if now < best:
             best = now
             assign(x, trial)
@@ -298,16 +292,15 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
     return best
 
 
-@declared(*SYSTEM, FLOATS, FLOATS, FLOATS, INTEGERS, FLOAT_ROWS, FLOATS)
+@declared(CoulombProblem, FLOATS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
 @external
-def linearize(
-    delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, closed, system, right
-):
+def linearize(problem, x, a_now, scale_a, scale_f, system, right):
     """Fill the equations `system` · step = `right` of Newton's method at forces x with accelerations a_now.
 
-    They are scaled as in `residual`. `closed` (nc,) is 1 for closed contacts (which stick if at rest), 0 for
-    open ones, and `AS_FORCES_SAY` to decide by forces and accelerations.
+    They are scaled as in `residual`. The active set is that of the forces and accelerations.
     """
+    delassus, law = problem.delassus, problem.law
+    mu, velocity, least, most, held, lower, upper = law
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
     for a in range(size):
@@ -316,15 +309,15 @@ def linearize(
     for i in range(nc):
         b = 3 * i
         fn, an = x[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
-        given = closed[i] >= 0
-        lowest = least[i] / scale_f[b]
-        opens = not held[i] and (closed[i] == 0 if given else fn - an <= lowest)
-        if opens and lowest == 0.0:
+        low, high = least[i] / scale_f[b], most[i] / scale_f[b]
+        bounded = not held[i] and not low < fn - an < high
+        bound = min(max(fn - an, low), high)
+        if bounded and bound == 0.0:  # open
             for r in range(b, b + 3):
                 system[r, r], right[r] = 1.0, -x[r] / scale_f[r]
             continue
-        if opens:
-            system[b + 2, b + 2], right[b + 2] = 1.0, lowest - fn
+        if bounded:
+            system[b + 2, b + 2], right[b + 2] = 1.0, bound - fn
         else:
             for k in range(size):
                 system[b + 2, k] = scale_a[b] * delassus[b + 2, k] * scale_f[k]
@@ -343,7 +336,7 @@ def linearize(
             continue
         a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
         g1, g2 = f1 - a1, f2 - a2
-        if held[i] or given or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
+        if held[i] or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
             for k in range(size):
                 system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
                 system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
@@ -375,22 +368,21 @@ def linearize(
             right[b] = -rate
 
 
-@declared(*SYSTEM, result=int)
+@declared(CoulombProblem, FLOATS, result=int)
 @external
-def orientation(delassus, free, velocity, mu, least, held, lower, upper, x):
+def orientation(problem, x):
     """Return the sign of the determinant of Newton's equations at forces x; zero if they are singular.
 
     Forces that are not unique have the sign for small compliances, which are added to the diagonal of W.
     """
-    size, undecided = len(x), repeated(len(mu), AS_FORCES_SAY)
-    system, right, soft = np.empty((size, size)), np.empty(size), delassus.copy()
-    unit, scales = scales_of(delassus, free, least)
+    size, (unit, scales) = len(x), scales_of(problem)
+    system, right, soft = np.empty((size, size)), np.empty(size), problem.delassus.copy()
     if unit == 0.0:
         return 0
     a_now, scale_a, scale_f = scales
-    residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+    residual(problem, x, a_now, scale_a, scale_f)
     for a in range(size):
         soft[a, a] += HALF_DIGITS / (scale_a[a] * scale_f[a])
-    given = soft, free, velocity, mu, least, held, lower, upper
-    linearize(*given, x, a_now, scale_a, scale_f, undecided, system, right)
+    softened = CoulombProblem(soft, problem.free, problem.law)
+    linearize(softened, x, a_now, scale_a, scale_f, system, right)
     return solve(system, right, np.empty(size), RANK)

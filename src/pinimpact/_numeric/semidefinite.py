@@ -8,7 +8,7 @@ import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
-from .tolerances import RANK
+from .tolerances import EXACT, RANK, TINY
 
 
 @inlined
@@ -122,3 +122,41 @@ def _subtract(row, part, other):
     """Subtract a multiple of another row (n,) from a row (n,)."""
     for j in range(len(row)):
         row[j] -= part * other[j]
+
+
+@inlined
+def cholesky(matrix):
+    """Replace a positive definite matrix by its Cholesky factor, with large pivots instead of lost ones."""
+    n = len(matrix)
+    whole, column = np.empty(n), np.empty(n)
+    largest = TINY
+    for i in range(n):
+        whole[i] = matrix[i, i]
+        largest = max(largest, whole[i])
+    for k in range(n):
+        pivot = matrix[k, k]
+        if not pivot > EXACT * n * whole[k]:
+            pivot = 1e64 * largest  # lost to rounding: this makes the unknown zero
+        root = math.sqrt(pivot)
+        matrix[k, k] = root
+        for i in range(k + 1, n):
+            matrix[i, k] /= root
+            column[i] = matrix[i, k]
+        for i in range(k + 1, n):
+            part = column[i]
+            for j in range(k + 1, i + 1):
+                matrix[i, j] -= part * column[j]
+
+
+@inlined
+def substitute(lower, x):
+    """Replace x by the solution y of lower lowerᵀ y = x."""
+    n = len(x)
+    for i in range(n):
+        for j in range(i):
+            x[i] -= lower[i, j] * x[j]
+        x[i] /= lower[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= lower[j, i] * x[j]
+        x[i] /= lower[i, i]

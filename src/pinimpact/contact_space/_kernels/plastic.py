@@ -1,70 +1,22 @@
-"""Plastic impact at several contacts, by Coulomb's law or least kinetic energy. (theory.md, section 14)"""
+"""Plastic impact at several contacts, by Coulomb's law. (theory.md, section 14)"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
-from ..._compile.jit import external, inlined, jit
-from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.coulomb_problem import solve_compliant
-from ..._numeric.loops import filled, flags, repeated
+from ..._compile.jit import inlined, jit
+from ..._numeric.augmented_newton import Law
+from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
+from ..._numeric.loops import filled, flags
 from ..._numeric.products import dot
-from ..._numeric.tolerances import ROUNDOFF, TINY
-from .tolerances import FOUND, MISSED, OPTIMAL
+from ..._numeric.tolerances import ROUNDOFF
+from .tolerances import MISSED
 
 SWEEPS = 100
 """Largest number of Gauss–Seidel iterations that remove slow approaches."""
-
-
-@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
-@external
-def plastic_impulses(w, v, friction, given, impulse):
-    """Minimize ½ Pᵀ W P + Pᵀ v subject to |P_t| ≤ μ P₃ and P₃ ≥ given. (14.6)
-
-    Args:
-        w: (3n, 3n) W [1/kg].
-        v: (3n,) velocities [m/s].
-        friction: (n,) μ.
-        given: (n,) least normal impulses, ≥ 0 [N s].
-        impulse: (3n,) is overwritten with P [N s].
-    """
-    n = len(friction)
-    largest, stiffest = TINY, TINY
-    for i in range(3 * n):
-        largest, stiffest = max(largest, abs(v[i])), max(stiffest, w[i, i])
-    unit = largest / stiffest
-    cones = 0
-    for j in range(n):
-        cones += 1 if friction[j] > 0.0 else 0
-    columns, rows = n + 2 * cones, n + 3 * cones
-    places, signs, sides = np.empty(columns, dtype=np.int64), np.zeros((rows, columns)), np.zeros(rows)
-    column, row = n, n
-    for j in range(n):
-        places[j] = 3 * j + 2  # P₃ − given ≥ 0
-        signs[j, j] = -1.0
-        if friction[j] > 0.0:
-            places[column], places[column + 1] = 3 * j, 3 * j + 1
-            signs[row, j] = -friction[j]
-            sides[row] = friction[j] * given[j] / unit
-            signs[row + 1, column] = -1.0
-            signs[row + 2, column + 1] = -1.0
-            column += 2
-            row += 3
-    program, linear = np.empty((columns, columns)), np.empty(columns)
-    for a in range(columns):
-        linear[a] = v[places[a]] / largest
-        for b in range(columns):
-            program[a, b] = w[places[a], places[b]] / stiffest
-        for j in range(n):
-            linear[a] += w[places[a], 3 * j + 2] * given[j] / largest
-    x, s, z = np.empty(columns), np.empty(rows), np.empty(rows)
-    cone_program(program, linear, signs, sides, n, repeated(cones, CONE), OPTIMAL, x, s, z)
-    filled(impulse, 0.0)
-    for a in range(columns):
-        impulse[places[a]] = x[a] * unit
-    for j in range(n):
-        impulse[3 * j + 2] += given[j]
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
@@ -72,12 +24,15 @@ def plastic_impulses(w, v, friction, given, impulse):
 def impulses_together(w, v, friction, given, stiffness, impulse):
     """Compute impulses that satisfy Coulomb's law, with sliding contacts at zero normal velocity. (14.7)
 
-    If they are not unique, the limit of small compliances 1/κ is returned. If none is found, they are
-    those of `plastic_impulses`.
+    If they are not unique, the limit of small compliances 1/κ is returned.
 
     Args:
-        w, v, friction, given, impulse: As for `plastic_impulses`.
+        w: (3n, 3n) W [1/kg].
+        v: (3n,) velocities [m/s].
+        friction: (n,) μ.
+        given: (n,) least normal impulses, ≥ 0 [N s].
         stiffness: (n,) κ; only ratios matter.
+        impulse: (3n,) is overwritten with P [N s].
 
     Returns:
         The residual of Coulomb's law relative to the largest velocity.
@@ -87,11 +42,9 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
     for i in range(n):
         impulse[3 * i] = impulse[3 * i + 1] = 0.0
         impulse[3 * i + 2], compliance[i] = given[i], 1.0 / stiffness[i]
-    none, rest, held = np.zeros(0), np.zeros((n, 2)), flags(n, False)
-    residual = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
-    if not residual <= FOUND:
-        plastic_impulses(w, v, friction, given, impulse)
-    return residual
+    none = np.zeros(0)
+    law = Law(friction, np.zeros((n, 2)), given, filled(np.empty(n), math.inf), flags(n, False), none, none)
+    return solve_compliant(CoulombProblem(w, v, law), impulse, compliance)
 
 
 @inlined

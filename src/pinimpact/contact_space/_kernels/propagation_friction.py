@@ -1,4 +1,4 @@
-"""Stick or incipient slip of contacts at rest, by a convex program. (theory.md, section 14.3)"""
+"""Stick or incipient slip of contacts at rest, by Coulomb's law. (theory.md, section 14.3)"""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from numba import types
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.loops import repeated
-from ..._numeric.tolerances import EXACT, LITTLE, TINY
+from ..._numeric.augmented_newton import Law
+from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
+from ..._numeric.loops import assign, flags
+from ..._numeric.products import dot
+from ..._numeric.tolerances import LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
     Series,
@@ -31,11 +33,10 @@ from .propagation_state import (
     State,
     System,
     begin_to_slip,
-    friction_share,
     loads,
     stick,
 )
-from .tolerances import AHEAD, NEGLIGIBLE, OPTIMAL, SAME, UNTURNED
+from .tolerances import AHEAD, NEGLIGIBLE, SAME, UNTURNED
 
 WEIGHED_AHEAD = 0.1
 """Clock ahead at which normal forces are evaluated as the weights of (14.4)."""
@@ -45,14 +46,6 @@ WEIGHED_ORDER = np.int64(4)
 
 ROOM = 0.95
 """Fraction of the friction bounds up to which the solution (14.4) is accepted at once."""
-
-ROUNDS, SWEEPS = 50, 200
-"""Largest numbers of alternations between friction and held forces, and of Gauss–Seidel iterations for the
-latter."""
-
-NEARBY = 1e-6
-"""Regularization, relative to the largest entry of W, towards the friction of the previous round. Without it
-rounding selects among several solutions of (14.3), and the rounds do not converge."""
 
 
 @declared(System, State, Series, result=types.Tuple((INTEGERS, FLOAT_ROWS, FLOATS)))
@@ -110,7 +103,7 @@ def settle(system, state, series):
         return unknown_after(system, state, unit, weight)
     if shared and (fits or holds_now(system, state, p)):
         return unknown, inverse, weight
-    moves = not fits and _admit(system, state, unit, cap, p, forces)
+    moves = not fits and _admit(system, state, unit, weight, cap, p, forces)
     if shared and moves:
         mark_shared(system, state)
     elif shared:
@@ -252,31 +245,22 @@ def _within_bounds(system, state, forces, part):
 
 
 @inlined
-def _admit(system, state, unit, cap, p, forces):
-    """Solve (14.3) and the held forces in turn, and set the modes; return whether any contact moves.
+def _admit(system, state, unit, weight, cap, p, forces):
+    """Solve (14.3) and set the modes accordingly; return whether any contact moves.
 
     Args:
         system: The `System`.
         state: The `State`; its modes are updated.
         unit: (2n,) directions of slip.
+        weight: (n,) normal forces of (14.4).
         cap: (n,) largest normal forces of held contacts.
         p: (3n,) forces without friction of sticking contacts and forces of held ones.
         forces: (3n,) is overwritten with all forces.
     """
     w, friction = system.w, system.friction
     n = len(cap)
-    any_held = False
-    for j in range(n):
-        any_held = any_held or state.normal[j] == HELD
-    for i in range(3 * n):
-        forces[i] = p[i]
-    for _ in range(ROUNDS):
-        change = _hold_plane(system, state, NEARBY if any_held else 0.0, forces)
-        if not any_held:
-            break
-        change = max(change, _press_held(system, state, unit, cap, forces))
-        if change <= NEGLIGIBLE:
-            break
+    assign(forces, p)
+    _solve_resting(system, state, unit, weight, cap, forces)
     scale, moves = 0.0, False
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
@@ -320,113 +304,50 @@ def _admit(system, state, unit, cap, p, forces):
 
 
 @inlined
-def _holding(system, state, forces):
-    """Return the sticking contacts with a friction bound that is not negligible, and the largest bound."""
-    n, strongest, count = len(system.friction), 0.0, 0
-    for j in range(n):
-        if state.tangent[j] == STUCK:
-            strongest = max(strongest, system.friction[j] * forces[3 * j + 2])
-    at = np.empty(n, dtype=np.int64)
-    for j in range(n):
-        if state.tangent[j] == STUCK and system.friction[j] * forces[3 * j + 2] > NEGLIGIBLE * strongest:
-            at[count] = j
-            count += 1
-    return at[:count].copy(), strongest
+def _solve_resting(system, state, unit, weight, cap, forces):
+    """Solve (14.3) for the forces of contacts that do not slip or are held.
 
-
-@inlined
-def _hold_plane(system, state, near, forces):
-    """Solve (14.3) for the friction of contacts that do not slip, at given normal forces.
-
-    Args:
-        system, state: The `System` and the `State`.
-        near: Regularization towards the given friction, relative to the bounds and to W; 0 for none.
-        forces: (3n,) forces; the friction components of sticking contacts are overwritten.
-
-    Returns:
-        The largest change of a friction force, relative to the largest bound.
-    """
-    w, friction = system.w, system.friction
-    n = len(friction)
-    at, strongest = _holding(system, state, forces)
-    count, softest = len(at), 0.0
-    for j in at:
-        softest = max(softest, w[3 * j, 3 * j] + w[3 * j + 1, 3 * j + 1])
-    if count == 0:
-        return 0.0
-    before = np.empty(2 * count)
-    program, linear = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
-    cones, sides = np.zeros((3 * count, 2 * count)), np.zeros(3 * count)
-    sizes = repeated(count, CONE)
-    for c in range(count):
-        for a in range(2):
-            before[2 * c + a] = forces[3 * at[c] + a]
-            forces[3 * at[c] + a] = 0.0
-    for c in range(count):
-        sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
-        stays = near / max(sides[3 * c], LITTLE) ** 2
-        for a in range(2):
-            row = 3 * at[c] + a
-            for d in range(count):
-                for b in range(2):
-                    program[2 * c + a, 2 * d + b] = w[row, 3 * at[d] + b] / softest
-            total = 0.0
-            for i in range(3 * n):
-                total += w[row, i] * forces[i]
-            linear[2 * c + a] = total / (softest * strongest) - stays * before[2 * c + a] / strongest
-            program[2 * c + a, 2 * c + a] += stays
-            cones[3 * c + 1 + a, 2 * c + a] = -1.0
-    x, s, z = np.empty(2 * count), np.empty(3 * count), np.empty(3 * count)
-    cone_program(program, linear, cones, sides, np.int64(0), sizes, OPTIMAL, x, s, z)
-    change = 0.0
-    for c in range(count):
-        for a in range(2):
-            forces[3 * at[c] + a] = strongest * x[2 * c + a]
-            change = max(change, abs(x[2 * c + a] - before[2 * c + a] / strongest))
-    return change
-
-
-@inlined
-def _press_held(system, state, unit, cap, forces):
-    """Solve for the normal forces of held contacts within their bounds, by projected Gauss–Seidel iterations.
+    The normal force of a held contact is between 0 and its cap, that of others is given. Several solutions
+    have one limit of small compliances in proportion to 1/(μ F), (14.4).
 
     Args:
         system, state: The `System` and the `State`.
         unit: (2n,) directions of slip.
-        cap: (n,) upper bounds.
-        forces: (3n,) forces; those of held contacts are overwritten, with the friction of slipping ones.
-
-    Returns:
-        The largest change of a force, relative to the largest force.
+        weight: (n,) normal forces F of (14.4).
+        cap: (n,) upper bounds of normal forces of held contacts.
+        forces: (3n,) forces; those of the contacts of the problem are overwritten.
     """
-    w = system.w
-    n = len(cap)
-    most, strongest = 0.0, TINY
-    for _ in range(SWEEPS):
-        change = 0.0
-        for j in range(n):
-            if state.normal[j] != HELD:
-                continue
-            x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
-            gx = gy = 0.0
-            if state.tangent[j] == SLIPPING:
-                gx, gy = friction_share(system, state, unit, j)
-            rise = 0.0
-            for i in range(3 * n):
-                rise += w[z, i] * forces[i]
-            yields = w[z, z] + w[z, x] * gx + w[z, y] * gy
-            pressed = forces[z]
-            if yields > 0.0:
-                pressed -= rise / yields
-            else:
-                pressed = cap[j] if rise < 0.0 else 0.0
-            pressed = min(max(pressed, 0.0), cap[j])
-            change = max(change, abs(pressed - forces[z]))
-            strongest = max(strongest, pressed)
-            forces[z] = pressed
-            if state.tangent[j] == SLIPPING:
-                forces[x], forces[y] = gx * pressed, gy * pressed
-        most = max(most, change)
-        if change <= EXACT * strongest:
-            break
-    return most / strongest
+    w, friction, n, count = system.w, system.friction, len(cap), 0
+    at = np.empty(n, dtype=np.int64)
+    for j in range(n):
+        if state.tangent[j] == STUCK or state.normal[j] == HELD:
+            at[count] = j
+            count += 1
+    none, size = np.empty(0), 3 * count
+    mu, slip, compliance = np.zeros(count), np.zeros((count, 2)), np.empty(count)
+    least, most, bounds, largest = np.zeros(count), np.empty(count), np.empty(count), TINY
+    delassus, free, x = np.empty((size, size)), np.empty(size), np.zeros(size)
+    for c in range(count):
+        j = at[c]
+        least[c] = most[c] = forces[3 * j + 2]
+        if state.normal[j] == HELD:
+            least[c], most[c] = 0.0, cap[j]
+        if state.tangent[j] != FREE:
+            mu[c] = friction[j]
+        if state.tangent[j] == SLIPPING:
+            slip[c, 0], slip[c, 1] = unit[2 * j], unit[2 * j + 1]
+        bounds[c] = weight[j] * (friction[j] if friction[j] > 0.0 else 1.0)
+        largest = max(largest, bounds[c])
+        for d in range(3):
+            forces[3 * j + d] = 0.0
+    for a in range(size):
+        row = w[3 * at[a // 3] + a % 3]
+        free[a] = dot(row, forces)
+        for b in range(size):
+            delassus[a, b] = row[3 * at[b // 3] + b % 3]
+    for c in range(count):
+        compliance[c] = 1.0 / max(bounds[c], LITTLE * largest)
+    law = Law(mu, slip, least, most, flags(count, False), none, none)
+    solve_compliant(CoulombProblem(delassus, free, law), x, compliance)
+    for a in range(size):
+        forces[3 * at[a // 3] + a % 3] = x[a]

@@ -10,7 +10,7 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, Floats, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.cone_program import cholesky, substitute
+from ..._numeric.semidefinite import cholesky, substitute
 from ..._numeric.tolerances import EPS, LITTLE, ROUNDOFF
 from .tolerances import NEGLIGIBLE
 

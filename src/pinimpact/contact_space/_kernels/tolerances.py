@@ -78,10 +78,6 @@ SAME = AHEAD
 """Difference of equal forces, over the largest, and relative distance of friction to its bound within which
 it is at it: the change of forces within `AHEAD`."""
 
-OPTIMAL = COMPUTED**2
-"""Duality gap of the convex programs of friction, of order one; the error of the solution is its root. They
-iterate up to the limit of double precision."""
-
 # ---- many contacts, by steps and all at once
 
 FOUND = 1e-8

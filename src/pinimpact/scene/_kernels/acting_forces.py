@@ -11,10 +11,17 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOATS, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.coulomb_problem import SYSTEM, USABLE, orientation, polish, solve_compliant, solve_coulomb
+from ..._numeric.coulomb_problem import (
+    USABLE,
+    CoulombProblem,
+    orientation,
+    polish,
+    solve_compliant,
+    solve_coulomb,
+)
 from ..._numeric.elimination import RANK
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, filled, nonzero
+from ..._numeric.loops import assign, filled, nonzero, ones
 from ..._numeric.tolerances import UNDETERMINED
 from .tolerances import NEGLIGIBLE
 
@@ -23,9 +30,9 @@ COMPLIANT, AT_REST, AS_BEFORE, ANY = range(4)
 at rest, or from those of the last choice of modes; the method of augmented Lagrangians."""
 
 
-@declared(*SYSTEM, FLAGS, FLOATS, bool, result=bool)
+@declared(CoulombProblem, FLOATS, FLAGS, FLOATS, bool, result=bool)
 @external
-def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed, before, unique):
+def find_forces(problem, x, pressed, before, unique):
     """Find forces that satisfy Coulomb's law, preferably persistent ones. (theory.md, 11.3 and 11.4)
 
     Newton's method starts from the forces at which pressed contacts and joints rest, so that they stay at
@@ -34,7 +41,7 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
     last. The search stops at the first forces whose equations have no negative determinant.
 
     Args:
-        delassus, free, slip, mu, least, held, lower, upper: See `solve_coulomb`.
+        problem: The `CoulombProblem`.
         x: (3 nc + ns,) is overwritten with the forces; if none are found, with those of the last attempt.
         pressed: (nc + ns,) whether each contact or scalar row has been pressed, or held, so far.
         before: (3 nc + ns,) forces of the last choice of modes.
@@ -43,23 +50,23 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
     Returns:
         Whether forces were found.
     """
-    system, trial, found = (delassus, free, slip, mu, least, held, lower, upper), np.empty(len(x)), False
+    trial, found = np.empty(len(x)), False
     for way in range(AT_REST if unique else COMPLIANT, ANY + 1):
         if way <= AT_REST:
-            at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
+            at_rest(problem, pressed, trial)
         if way == COMPLIANT:
-            error = solve_compliant(*system, trial, np.ones(len(mu)))
+            error = solve_compliant(problem, trial, ones(len(problem.law.friction)))
         elif way == ANY:
-            error = solve_coulomb(*system, trial)
+            error = solve_coulomb(problem, trial)
         else:
             if way == AS_BEFORE:
                 assign(trial, before)
-            error = polish(*system, trial)
+            error = polish(problem, trial)
         if error > (USABLE if unique else UNDETERMINED):  # see (11.10)
             if way == ANY and not found:
                 assign(x, trial)
             continue
-        determinant_sign = orientation(*system, trial)
+        determinant_sign = orientation(problem, trial)
         if determinant_sign > 0 or not found:
             assign(x, trial)
         found = True
@@ -69,11 +76,13 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
 
 
 @inlined
-def at_rest(delassus, free, slip, mu, held, lower, upper, pressed, x):
+def at_rest(problem, pressed, x):
     """Fill forces x (m,) at which pressed contacts and scalar rows have no acceleration.
 
     The friction of a sliding contact is proportional to its normal force, opposite to the slip.
     """
+    delassus, free, law = problem
+    mu, slip, _, _, held, lower, upper = law
     nc, size = len(mu), len(x)
     moves, drag = np.zeros(size, dtype=np.int64), np.zeros((nc, 2))
     for k in range(nc):
@@ -125,8 +134,10 @@ def stop_rows(delassus, free, drag, rows, x):
 
 
 @inlined
-def jammed_contact(delassus, free, slip, mu, held, x):
+def jammed_contact(problem, x):
     """Return a contact that jams by itself under the other forces x (13.1), or −1 if none does."""
+    delassus, free, law = problem
+    mu, slip, held = law.friction, law.slip, law.held
     for k in range(len(mu)):
         b, speed = 3 * k, math.hypot(slip[k, 0], slip[k, 1])
         if held[k] or mu[k] == 0.0 or speed == 0.0:

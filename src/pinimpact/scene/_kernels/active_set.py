@@ -8,9 +8,9 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
+from ..._numeric.semidefinite import cholesky
 from ..._numeric.tolerances import LITTLE
 from .contact_forces import FREE, HELD, SLIP
 from .tolerances import DIFFERENT, NEGLIGIBLE

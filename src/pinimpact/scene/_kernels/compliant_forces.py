@@ -8,9 +8,10 @@ import numpy as np
 
 from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
-from ..._numeric.coulomb_problem import solve_compliant
+from ..._numeric.augmented_newton import coulomb_law
+from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign, flags, repeated
+from ..._numeric.loops import assign, flags, ones, repeated
 from ..._numeric.products import apply, apply_symmetric, dot
 from ..._numeric.tolerances import COMPUTED, ROUNDOFF, TINY, UNDETERMINED
 from .contact_forces import HELD, SLIP, STICK, delassus_of_rows
@@ -63,8 +64,8 @@ def compliant_forces(work):
             free[b], x[b] = -work.target[row[b]], solution[row[b]]
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, work.minverse, response, delassus)
-    none = np.zeros(nc)
-    residual = solve_compliant(delassus, free, slip, mu, none, held, lower, upper, x, np.ones(nc))
+    problem = CoulombProblem(delassus, free, coulomb_law(mu, slip, held, lower, upper))
+    residual = solve_compliant(problem, x, ones(nc))
     if residual > UNDETERMINED:
         return False
     largest = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined, jit
+from ..._numeric.coulomb_problem import CoulombProblem
 from ..._numeric.loops import assign, filled, flags, nonzero
 from . import touching_rows
 from .acting_forces import jammed_contact
@@ -150,9 +151,10 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     response, delassus, force = np.empty(what.rows.shape), np.empty((size, size)), np.empty(size)
     delassus_of_rows(what.rows, work.minverse, response, delassus)
     unique = touching_rows.determines_forces(delassus)
-    converged = touching_rows.forces_on(work, what, delassus, candidates, unique, force)
+    problem = CoulombProblem(delassus, what.free, what.law)
+    converged = touching_rows.forces_on(work, what, problem, candidates, unique, force)
     # if no forces were found, `force` has those of the last attempt
-    jamming = -1 if converged else jammed_contact(delassus, what.free, what.slip, what.mu, what.held, force)
+    jamming = -1 if converged else jammed_contact(problem, force)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(what.rows[b : b + 1], what.velocity[jamming, 2:], work.minverse, v)
@@ -210,8 +212,8 @@ def modes_of_scalar_rows(work, what, scalar, force, negligible, threshold, stopp
         a, i, limit, strength = first + m, what.scalars[m], what.joints[m], force[first + m]
         rubs = scalar[work.limits + i] != 0
         closed = not (
-            (free[a] > threshold[a] and strength <= (1.0 - AT_BOUND) * what.lower[m] + negligible[a])
-            or (free[a] < -threshold[a] and strength >= (1.0 - AT_BOUND) * what.upper[m] - negligible[a])
+            (free[a] > threshold[a] and strength <= (1.0 - AT_BOUND) * what.law.lower[m] + negligible[a])
+            or (free[a] < -threshold[a] and strength >= (1.0 - AT_BOUND) * what.law.upper[m] - negligible[a])
         )
         stopped[a] = closed
         if rubs and not closed:
@@ -230,7 +232,8 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
     the direction of slip. Rejected candidates are added to the `Choice`. Other arguments as in `find_modes`
     and `modes_of_scalar_rows`.
     """
-    contacts, joints, scalars, rows, velocity, _, slip, mu, held, _, _ = what
+    contacts, joints, scalars, rows, velocity, _, law = what
+    mu, slip, held = law.friction, law.slip, law.held
     modes, reference, _, rejected = chosen
     size, closed = len(start), 3 * len(contacts)
     keep_sliding, moves = np.zeros(size, dtype=np.int64), flags(size, False)
@@ -288,7 +291,8 @@ def modes_of_contacts(work, what, force, negligible, unique, threshold, stopped,
     `what` is the `Touching`, whose `free` includes the forces by now; `negligible` (m,) are the forces that
     are taken as zero; other arguments as in `resulting_accelerations`.
     """
-    contacts, _, _, _, velocity, acceleration, slip, mu, held, _, _ = what
+    contacts, _, _, _, velocity, acceleration, law = what
+    mu, slip, held = law.friction, law.slip, law.held
     before, modes, reference = work.modes, chosen.modes, chosen.reference
     for k in range(len(contacts)):
         b, i = 3 * k, contacts[k]

@@ -10,7 +10,7 @@ from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_lagrangian import solve_velocities
 from ..._numeric.augmented_newton import VelocityProblem, law_of_steps
-from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
+from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant, solve_coulomb
 from ..._numeric.loops import assign, filled
 from ..._numeric.products import products
 from ..._numeric.semidefinite import invert_definite
@@ -114,8 +114,11 @@ def solve_in_impulses(problem, residual, change, found):
         for b in range(a):
             delassus[b, a] = delassus[a, b]
     impulses = np.zeros(n)
-    system = delassus, free, law.slip, law.friction, law.least, law.held, law.lower, law.upper, impulses
-    residual_now = solve_compliant(*system, compliance) if n > m and nc > 0 else solve_coulomb(*system)
+    whole = CoulombProblem(delassus, free, law)
+    if n > m and nc > 0:
+        residual_now = solve_compliant(whole, impulses, compliance)
+    else:
+        residual_now = solve_coulomb(whole, impulses)
     if not residual_now < residual:
         return residual
     assign(found, impulses)

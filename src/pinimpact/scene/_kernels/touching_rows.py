@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, Flags, FloatRows, Floats, Integers, declared
+from ..._compile.declared import FLOAT_ROWS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined
+from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.semidefinite import factor
@@ -34,11 +35,8 @@ class Touching(NamedTuple):
         rows: (m, nv) Jacobian of the row velocities.
         velocity: (nc, 3) contact velocities [m/s].
         free: (m,) accelerations of the rows without contact forces [m/s²].
-        slip: (nc, 2) tangential velocities of sliding contacts [m/s], zero where a contact may stick.
-        mu: (nc,) friction coefficients.
-        held: (nc,) True for bilateral contacts.
-        lower: (ns,) lower bounds of scalar forces [N].
-        upper: (ns,) upper bounds [N].
+        law: Friction coefficients, tangential velocities of sliding contacts [m/s], bilateral contacts, and
+            bounds of scalar forces [N].
     """
 
     contacts: Integers
@@ -47,11 +45,7 @@ class Touching(NamedTuple):
     rows: FloatRows
     velocity: FloatRows
     free: Floats
-    slip: FloatRows
-    mu: Floats
-    held: Flags
-    lower: Floats
-    upper: Floats
+    law: Law
 
 
 @inlined
@@ -79,7 +73,9 @@ def rows_of_touching(work, v, candidates, certain):
         metres = work.joint_metres[scalars[m]]
         rows[3 * nc + m, scalars[m]] = metres
         free[3 * nc + m] = metres * work.acceleration[scalars[m]]
-    return Touching(contacts, joints, scalars, rows, velocity, free, slip, mu, held, lower, upper)
+    return Touching(
+        contacts, joints, scalars, rows, velocity, free, coulomb_law(mu, slip, held, lower, upper)
+    )
 
 
 @inlined
@@ -99,19 +95,16 @@ def keeps_sliding(work, i, x, y, certain):
 
 
 @inlined
-def forces_on(work, what, delassus, candidates, unique, force):
+def forces_on(work, what, problem, candidates, unique, force):
     """Fill the forces (m,) on the touching contacts, see `find_forces`; return whether they were found."""
     nc, ns = len(what.contacts), len(what.joints)
-    known, pressed, least = np.empty(len(force)), np.empty(nc + ns, dtype=np.bool_), np.zeros(nc)
+    known, pressed = np.empty(len(force)), np.empty(nc + ns, dtype=np.bool_)
     forces_of_before(work, what.contacts, what.joints, known)
     for k in range(nc):
         pressed[k] = candidates[what.contacts[k]] == PRESSED
     for m in range(ns):
         pressed[nc + m] = candidates[work.contacts + what.joints[m]] == PRESSED
-    return find_forces(
-        *(delassus, what.free, what.slip, what.mu, least, what.held, what.lower, what.upper),
-        *(force, pressed, known, unique),
-    )
+    return find_forces(problem, force, pressed, known, unique)
 
 
 @inlined
