@@ -193,7 +193,7 @@ def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
     after = u + np.linalg.solve(mass, jacobian.T @ p.ravel())
     scale, push = np.abs(velocity).max(), max(np.abs(p).max(), 1e-300)
     rounding = 1e-9 * scale + 1e-12 * push * np.abs(delassus).max()
-    if solution.notes:  # solved by a convex program, or by steps with the noted accuracy
+    if solution.notes:  # all at once, or by steps with the noted accuracy
         noted = re.search(r"velocities to about (\S+) of the largest", solution.notes[-1])
         rounding = max(1e2 * rounding, 1.05 * float(noted[1]) * scale if noted else 0.0)
     before, later = 0.5 * u @ mass @ u, 0.5 * after @ mass @ after

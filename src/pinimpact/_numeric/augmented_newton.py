@@ -6,9 +6,9 @@ computes from impulses f the next ones, f⁺, by
     f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺.                                                 (16.3)
 
 r > 0 is a compliance for each contact or row. For a contact whose normal impulse has the bounds l, mostly 0,
-and h, mostly ∞,
+and m, mostly ∞,
 
-    P(z) = (Π_ρ(z_t), p),   p = min(max(z_n, l), h),   ρ = μ p,                                         (16.4)
+    P(z) = (Π_ρ(z_t), p),   p = min(max(z_n, l), m),   ρ = μ p,                                         (16.4)
 
 where Π_ρ is the projection onto the disc of radius ρ, or −ρσ for a contact that slides in the direction σ.
 For a held contact P(z) = z; for a scalar row P is the projection onto its bounds.

@@ -448,7 +448,7 @@ class Instant:
         if jammed >= 0:
             return jammed, False
         same = bool((work.modes == before).all())
-        work.force_bound_ignored = constrained and same
+        work.least_margin = -math.inf if constrained and same else 0.0
         if not same or work.driven:
             self._record_modes()
         return -1, converged
@@ -478,7 +478,7 @@ class Instant:
             self.dynamics.slip_as(*present)
             self._set_modes(self._slow)
             return
-        work.force_bound_ignored = False
+        work.least_margin = 0.0
         self._record_modes()
 
     def correct_constraint_drift(self) -> None:

@@ -246,9 +246,11 @@ class Integrator:
         self.dynamics.set_saturation(state.q, state.v)
         state.bounce = BEYOND * self.dynamics.begin(state.t, state.q, state.v)
         doubtful = self.dynamics.doubtful_margin
-        work.force_bound_ignored = bool(work.force_bound_ignored) and work.force_margin <= doubtful
-        yields = work.force_bound_ignored and not work.forces_unique and work.force_margin >= -doubtful
-        work.least_margin = -2.0 * doubtful if yields else 0.0  # forces at their bounds may leave them later
+        if work.force_margin > doubtful:
+            work.least_margin = 0.0
+        elif work.least_margin < 0.0:  # forces at their bounds may leave them later
+            yields = not work.forces_unique and work.force_margin >= -doubtful
+            work.least_margin = -2.0 * doubtful if yields else -math.inf
         unique = work.forces_unique
         if state.forces_unique and not unique:
             self.instant.note("The contact forces are not unique; those of equally stiff contacts are used.")
@@ -362,7 +364,9 @@ class Integrator:
         state.works = step.work_at(step.end)
         state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
-        beyond = work.force_bound_ignored = work.force_bound_ignored and not work.end_margin >= 0.0
+        beyond = work.least_margin < 0.0 and not work.end_margin >= 0.0
+        if not beyond:
+            work.least_margin = 0.0
         state.bounce = math.inf
         if work.drift_at_end > self.drift_tolerance or beyond:
             if beyond:
@@ -458,7 +462,7 @@ class Integrator:
             self.instant.resolve_jam(leaving=bounded)
         self._settle_and_begin(arriving)
         # the drift correction may have moved the forces back inside their bounds, which they leave again soon
-        if bounded and self.work.force_bound_ignored:
+        if bounded and self.work.least_margin < 0.0:
             self.instant.set_modes_ahead(step)
             self._begin_motion()
         self._sample()

@@ -112,7 +112,7 @@ def replace_force(work, tau):
     for j in range(n):
         change[j] = tau[j] - control[j]
         control[j] = tau[j]
-    if not (work.evaluated and work.forces_unique) or work.force_bound_ignored or work.driven > 0:
+    if not (work.evaluated and work.forces_unique) or work.least_margin < 0.0 or work.driven > 0:
         return False
     for i in range(len(gaps)):
         if modes[i] == FREE and abs(gaps[i, 0]) <= work.touching_gap:

@@ -46,7 +46,7 @@ def first(work, end):
     """Return the first time until `end` at which forces leave their bounds, or infinity; and index 0."""
     if work.active_contacts + work.active_scalars == 0:
         return math.inf, 0
-    if work.force_bound_ignored and work.least_margin == 0.0:
+    if work.least_margin == -math.inf:
         return math.inf, 0
     if clear_of_zero(work.sample_times, work.sample_margins, work.samples):
         return math.inf, 0
