@@ -10,7 +10,7 @@ from ..._numeric.loops import assign
 from . import lie_charts
 from .active_set import NORMAL, active_rows, stop_along
 from .contact_forces import SLIP
-from .dynamics import evaluate, set_state
+from .dynamics import evaluate_anew, set_state
 from .workspace import SceneWorkspace
 
 
@@ -42,7 +42,7 @@ def correct_constraint_drift(work, t, q, v):
     rows = np.zeros((3 * nc + ns + nl, n))
     errors = np.empty(len(rows))
     set_state(work, q, v)
-    evaluate(work, t, rates)
+    evaluate_anew(work, t, rates)
     total = 0
     for k in range(nc):
         assign(rows[total], jacobian[k, 2])
@@ -61,7 +61,7 @@ def correct_constraint_drift(work, t, q, v):
             if closed[m] != 0:
                 q[index_q[m]] = bound[m]
         assign(work.q, q)
-        evaluate(work, t, rates)
+        evaluate_anew(work, t, rates)
     rows = np.zeros((3 * nc + ns + nl, n))
     total = active_rows(work, v, NORMAL, rows, errors)
     if total == 0 or work.callback_failed:

@@ -17,7 +17,15 @@ from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign
 from ..._numeric.products import apply_symmetric, dot, products
 from ..._numeric.tolerances import ROUNDOFF
-from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, ROUNDED, WEIGHTLESS
+from .tolerances import (
+    FINEST,
+    LEAST_SIZE,
+    NEGLIGIBLE,
+    ROUNDED,
+    SINGULAR_STILL,
+    UNDECIDED,
+    WEIGHTLESS,
+)
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
@@ -212,20 +220,22 @@ def solve_least_norm(work):
     Without slip against friction it is the solution of least norm. Bounds are not considered, see
     `compliant_forces`.
 
-    The rank is decided where a motion begins. In the stages of a step redundant rows contradict each other by
-    the error of the stage, which only very large forces would satisfy.
+    The rank is decided where a motion begins, see `evaluate_anew`. In the stages of a step redundant rows
+    contradict each other by the error of the stage, which only very large forces would satisfy.
 
     Returns:
         Whether the solution is unique.
     """
     system, target, solution = work.system, work.target, work.solution
     size = len(target)
-    no_basis, trial = np.empty((0, size)), np.empty(size)
+    no_basis, trial, decides = np.empty((0, size)), np.empty(size), work.rank_tolerance == UNDECIDED
+    if decides:
+        work.rank_tolerance = SINGULAR_STILL
     unique = least_norm(system, target, work.rank_tolerance, solution, no_basis) == size
     if not unique and slips_with_friction(work):
         share_by_compliances(system, work.rank_tolerance, solution)
     residual = relative_residual(work, solution)
-    if residual > NEGLIGIBLE and not work.within_step:
+    if decides and residual > NEGLIGIBLE:
         # keep rows of small inverse inertia too, although their forces may be large
         least_norm(system, target, FINEST, trial, no_basis)
         if relative_residual(work, trial) < 0.1 * residual:

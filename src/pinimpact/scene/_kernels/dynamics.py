@@ -17,7 +17,7 @@ from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .compliant_forces import compliant_forces
 from .drives import drive
-from .tolerances import NEGLIGIBLE, SINGULAR_STILL
+from .tolerances import NEGLIGIBLE, SINGULAR_STILL, UNDECIDED
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
@@ -245,6 +245,16 @@ def evaluate(work, t, out):
     add_forces(work, out)
 
 
+@declared(SceneWorkspace, float, FLOATS)
+@external
+def evaluate_anew(work, t, out):
+    """Evaluate like `evaluate`, and decide the rank of (9.3) for the motion from here."""
+    work.rank_tolerance = UNDECIDED
+    evaluate(work, t, out)
+    if work.rank_tolerance == UNDECIDED:
+        work.rank_tolerance = SINGULAR_STILL
+
+
 @declared(SceneWorkspace, FLOATS)
 @external
 def add_forces(work, out):
@@ -263,8 +273,6 @@ def add_forces(work, out):
     if not math.isfinite(total):  # a stage of too long a step, which will be rejected
         filled(out, math.nan)
         return
-    if not work.within_step:
-        work.rank_tolerance = SINGULAR_STILL
     orientation, friction = 0, contact_forces.slips_with_friction(work)
     if friction:
         rank = RANK if work.forces_unique else SINGULAR_STILL

@@ -9,7 +9,7 @@ from ..._compile.jit import external, jit
 from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate
 from .active_set import close
-from .dynamics import evaluate, set_state
+from .dynamics import evaluate_anew, set_state
 from .workspace import SceneWorkspace
 
 
@@ -20,7 +20,7 @@ def evaluate_closed(work, t, q, v, directions, unique):
     close(work, directions)
     work.forces_unique = unique
     set_state(work, q, v)
-    evaluate(work, t, np.empty(len(v) + 4))
+    evaluate_anew(work, t, np.empty(len(v) + 4))
 
 
 @declared(

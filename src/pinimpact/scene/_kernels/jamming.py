@@ -10,7 +10,7 @@ from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import jit
 from .active_set import ALL, active_rows
 from .contact_forces import SLIP, delassus_of_rows
-from .dynamics import evaluate, set_state
+from .dynamics import evaluate_anew, set_state
 from .workspace import SceneWorkspace
 
 
@@ -33,7 +33,7 @@ def forces_unbounded(work, t, q, v, leaving, singular):
     if not slipping:
         return False
     set_state(work, q, v)
-    evaluate(work, t, np.empty(len(v) + 4))
+    evaluate_anew(work, t, np.empty(len(v) + 4))
     if work.callback_failed:
         return False
     force, scalar_force, minverse = work.contact_force, work.scalar_force, work.minverse

@@ -92,9 +92,7 @@ def evaluate_stage(work, i, t, h, change):
     advance(work.joint_charts, work.q0, xi, work.q)
     chart_rate(work.joint_charts, xi, v, change[:n])
     filled(change[2 * n : width], 0.0)
-    work.within_step = True
     evaluate(work, t + ABSCISSAE[i] * h, change[n:])
-    work.within_step = False
     if work.callback_failed:
         return False
     record_sample(work, i + 1, ABSCISSAE[i])

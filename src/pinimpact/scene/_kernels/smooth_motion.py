@@ -38,7 +38,7 @@ def begin(work, t, q, v):
     for i in range(len(rates)):
         filled(rates[i, 2 * n :], 0.0)
     assign(rates[0, :n], v)
-    dynamics.evaluate(work, t, rates[0, n:])
+    dynamics.evaluate_anew(work, t, rates[0, n:])
     slip.turn_references(work, work.contact_velocity)
     _set_start(work)
     work.drive_rate = rate_of_drives(work)

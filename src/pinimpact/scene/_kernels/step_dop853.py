@@ -77,9 +77,7 @@ def attempt(work, t, h, rtol, atol):
                 return math.inf
             assign(work.q1, work.q)
             assign(v1, work.v)
-        work.within_step = True
         evaluate(work, t + ALL_NODES[which, i] * h, rates[i, n:])
-        work.within_step = False
         if work.callback_failed:
             return math.inf
         if closed:

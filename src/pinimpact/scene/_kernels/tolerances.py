@@ -38,6 +38,9 @@ FINEST = NOISE
 """The same where `SINGULAR_STILL` leaves residuals above `NEGLIGIBLE`: an example is a loaded leg of 1 kg,
 within 10⁻⁵ rad of being stretched, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
 
+UNDECIDED = 0.0
+"""The same before it has been decided."""
+
 DOUBTFUL = RTOL
 """Violation of force bounds, relative to the largest force, that the error of a step alone can cause."""
 

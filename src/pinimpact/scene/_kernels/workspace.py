@@ -125,7 +125,6 @@ class SceneWorkspace(Workspace):
     row_tolerance = reals("active_rows", meaning="forces taken as zero, (11.13); of a contact that of N [N]")
     force_margin = real("margin of (11.6) with `row_tolerance`; below 0 the modes do not hold [N]")
     rank_tolerance = real("relative pivot tolerance for the rank of (9.3) where forces are not unique")
-    within_step = flag("whether the state is that of a stage, which is as inaccurate as its order")
     forces_unique = flag("whether the motion determines the forces; else they are those of least norm")
     callback_failed = flag("whether a call into Python or Pinocchio raised an exception")
     evaluations = integer("number of evaluations of v̇")
