@@ -191,3 +191,21 @@ def test_joint_shares_load_up_to_its_dry_friction(scheme, known):
     if scheme == "event-driven":
         found = run.sensitivity(t).state[[0, 2], 2]
         assert found == pytest.approx([np.sin(pace * t) / pace, np.cos(pace * t)], abs=1e-8)
+
+
+@pytest.mark.parametrize(("gap", "loads"), [(5e-11, (1 / 3, 1 / 3, 1 / 3)), (2e-9, (0.5, 0.0, 0.5))])
+@pytest.mark.parametrize("falls", [False, True])
+def test_support_whose_gap_is_within_the_tolerance_of_positions_carries(gap, loads, falls):
+    """A beam on three supports; the gap of the middle one remains, since the others keep the beam up."""
+    model, ends = pin.Model(), (("left", -0.5), ("middle", 0.0), ("right", 0.5))
+    lift = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    beam = model.addJoint(lift, pin.JointModelRY(), pin.SE3.Identity(), "beam")
+    model.appendBodyToJoint(beam, pin.Inertia.FromBox(2.0, 1.0, 0.1, 0.1), pin.SE3.Identity())
+    for name, x in ends:
+        at = pin.SE3(np.eye(3), np.array([x, 0.0, gap if name == "middle" else 0.0]))
+        model.addFrame(pin.Frame(name, beam, at, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    scene = Scene(model, [Contact(name, plane=Plane(), restitution=0.0) for name, _ in ends])
+    run = simulate(scene, [1e-3 if falls else 0.0, 0.0], np.zeros(2), 0.1)
+    forces = [float(run.forces(contact.label, [run.t[-1]])[0, 2]) for contact in scene.contacts]
+    assert forces == pytest.approx(2.0 * G * np.array(loads), rel=1e-9, abs=1e-9)

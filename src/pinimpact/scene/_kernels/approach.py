@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._compile.declared import FLOATS, INTEGERS, declared
-from ..._compile.jit import jit
+from ..._compile.jit import inlined, jit
 from .contact_forces import FREE, HELD
 from .dynamics import all_gaps
 from .workspace import SceneWorkspace
@@ -16,6 +16,15 @@ APART, TOUCHING, ARRIVING, STRUCK = range(4)
 TOUCHES, PRESSED, SLIDES = 1, 2, 3
 """Candidates for the active set. Touches: is closed without bouncing; pressed: also was active, or has just
 been struck; slides: is treated as sliding, however slowly."""
+
+
+@inlined
+def touches(work, gap, rate):
+    """Return whether a gap [m] that hardly changes [m/s] is closed within the tolerance of positions.
+
+    Corners of equal faces may have gaps of that size, through which no motion would ever bring them.
+    """
+    return gap <= max(work.touching_gap, work.atol) and abs(rate) <= work.resting_speed
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS, bool, float, INTEGERS, INTEGERS)
@@ -55,7 +64,7 @@ def fastest_approach(work, q, v, starting, parting, where, slow):
             continue
         if rate > parting:
             where[i] = APART
-        elif where[i] == APART and (gap <= near or modes[i] != FREE):
+        elif where[i] == APART and (gap <= near or modes[i] != FREE or touches(work, gap, rate)):
             where[i] = ARRIVING if starting else TOUCHING
         if where[i] == APART and gap <= together and rate < -work.least_approach:
             where[i] = ARRIVING

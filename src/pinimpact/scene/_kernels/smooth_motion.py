@@ -12,6 +12,7 @@ from ..._numeric.loops import assign, filled
 from ..._numeric.products import apply_symmetric, dot
 from ..._numeric.tolerances import EPS
 from . import dynamics, slip, step_dop853
+from .approach import touches
 from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP, joint_forces
 from .events.force_bound import doubtful_margin
@@ -144,13 +145,13 @@ def modes_continue(work):
     if work.active_contacts + work.active_scalars > 0 and not work.force_margin >= 0.0:
         return False
     gaps, modes, v0, contacts = work.start_gaps, work.modes, work.v0, work.contacts
-    near, resting, slowest = work.touching_gap, work.resting_speed, work.stick_speed
+    slowest = work.stick_speed
     for i in range(contacts):
-        if modes[i] == FREE and gaps[i, 0] <= near and abs(gaps[i, 1]) <= resting:
+        if modes[i] == FREE and touches(work, gaps[i, 0], gaps[i, 1]):
             return False
     for k in range(work.limits):
         gap, rate = dynamics.limit_gap(work, k, work.q0, v0)
-        if modes[contacts + k] == 0 and gap <= near and abs(rate) <= resting:
+        if modes[contacts + k] == 0 and touches(work, gap, rate):
             return False
     mode, mu, velocity = work.active_mode, work.active_friction, work.contact_velocity
     for k in range(len(mode)):
