@@ -40,13 +40,14 @@ def closing(t, q, v):
     return force
 
 
+@pytest.mark.parametrize("aside", [0.0, 1e-3])
 @pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
-def test_fingers_close_on_a_cube_and_hold_it(scheme):
+def test_fingers_close_on_a_cube_and_hold_it(scheme, aside):
     robot = gripper()
     contacts = [Contact(geometry="cube", plane=Plane(name="floor"), friction=0.5, restitution=0.2)]
     contacts += [Contact(geometry=name, plane=Shape("cube"), friction=0.1) for name in ("left", "right")]
     scene = Scene(robot, contacts, control=closing, period=1e-3)
-    q = np.array([0.15, 0.0, 0.0, 0.005, 0.0, 0.5 * SIDE, 0.0, 0.0, 0.0, 1.0])
+    q = np.array([0.15, 0.0, 0.0, 0.005, aside, 0.5 * SIDE, 0.0, 0.0, 0.0, 1.0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SteppedWarning)  # rounding decides whether modes are found
         trajectory = simulate(scene, q, np.zeros(9), 0.12, scheme=scheme)

@@ -166,7 +166,7 @@ def test_stack_without_restitution_ends_after_hundreds_of_events_by_a_plastic_im
     mu, start = np.repeat(rng.uniform(0.1, 1.0, 2), 4), (jacobian @ u).reshape(-1, 3)
     found = solve_impact(ImpactProblem(jacobian / inertia @ jacobian.T, start, mu, 0.0, "energetic"))
     assert not found.notes
-    assert found.events > 1000
+    assert found.events > 500
     after, p = u + jacobian.T @ found.impulse.ravel() / inertia, found.impulse
     assert found.velocity.ravel() == pytest.approx(jacobian @ after, abs=1e-11)
     assert found.velocity[:, 2].min() > -1e-11

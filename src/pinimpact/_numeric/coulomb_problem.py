@@ -84,7 +84,7 @@ def solve_coulomb(problem, x):
         if change > QUICK * last and part > HALF_DIGITS:  # or else f grows until u is lost in rounding
             part *= FINER
         last = change
-        error = polish(problem, trial)
+        error = polish(problem, trial, COMPUTED)
         if not (error < best or error <= USABLE):
             continue
         lasts = error <= USABLE and orientation(problem, trial) >= 0
@@ -96,15 +96,15 @@ def solve_coulomb(problem, x):
     return best
 
 
-@declared(CoulombProblem, FLOATS, FLOATS, result=float)
+@declared(CoulombProblem, FLOATS, FLOATS, float, result=float)
 @external
-def solve_compliant(problem, x, compliance):
+def solve_compliant(problem, x, compliance, rank):
     """Solve as `solve_coulomb`; of several solutions compute the limit of small compliances. (11.12)
 
     The solutions of (16.3) from f = 0 for r = 2ε C and r = ε C are extrapolated to ε = 0, where Newton's
     method converges to the nearest solution. C is diagonal, up to a factor `compliance` (nc,) for the rows
     of contacts and 1 for scalar rows. Newton's method starts from the velocities of the given x, which should
-    have the symmetry of the problem.
+    have the symmetry of the problem; `rank` is that of `polish`.
     """
     velocities, profile, now, matrix = in_velocities(problem, compliance)
     size = len(x)
@@ -116,7 +116,7 @@ def solve_compliant(problem, x, compliance):
         solved = solved and found
         for a in range(size):
             x[a] = 2.0 * now.f[a] - x[a] if part == 1.0 else now.f[a]
-    best = polish(problem, x) if solved else math.inf
+    best = polish(problem, x, rank) if solved else math.inf
     return best if best <= UNDETERMINED else solve_coulomb(problem, x)
 
 
@@ -166,10 +166,13 @@ def scales_of(problem):
     return scale(delassus, loads, nc, d, scale_a, scale_f), (np.empty(size), scale_a, scale_f)
 
 
-@declared(CoulombProblem, FLOATS, result=float)
+@declared(CoulombProblem, FLOATS, float, result=float)
 @external
-def polish(problem, x):
-    """Refine forces x by Newton's method as long as it halves the residual; return that. See `newton`."""
+def polish(problem, x, rank):
+    """Refine forces x by Newton's method as long as it halves the residual; return that. See `newton`.
+
+    Forces do not change along directions of Newton's matrix whose pivots are below `rank` times the largest.
+    """
     unit, scales = scales_of(problem)
     if unit == 0.0:
         filled(x, 0.0)
@@ -177,7 +180,7 @@ def polish(problem, x):
     now, before = residual(problem, x, *scales), math.inf
     while EXACT < now < 0.5 * before:
         before = now
-        now = newton(problem, x, *scales)
+        now = newton(problem, x, rank, *scales)
     return now
 
 
@@ -264,12 +267,13 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
     return unit
 
 
-@declared(CoulombProblem, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
+@declared(CoulombProblem, FLOATS, float, FLOATS, FLOATS, FLOATS, result=float)
 @external
-def newton(problem, x, a_now, scale_a, scale_f):
+def newton(problem, x, rank, a_now, scale_a, scale_f):
     """Refine forces x to rounding by Newton's method on their active set; return the residual.
 
-    Other arguments as in `residual`; x is kept where a step does not reduce the residual.
+    `rank` is that of `polish`, other arguments as in `residual`; x is kept where a step does not reduce the
+    residual.
     """
     best = residual(problem, x, a_now, scale_a, scale_f)
     if not 0.0 < best < math.inf:
@@ -280,7 +284,7 @@ def newton(problem, x, a_now, scale_a, scale_f):
     for _ in range(POLISH):
         answer_signals()
         linearize(problem, trial, a_now, scale_a, scale_f, system, right)
-        least_norm(system, right, COMPUTED, step, no_basis)
+        least_norm(system, right, rank, step, no_basis)
         for a in range(size):
             trial[a] += step[a] * scale_f[a]
         now = residual(problem, trial, a_now, scale_a, scale_f)

@@ -12,7 +12,7 @@ from ..._numeric.augmented_newton import Law
 from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
 from ..._numeric.loops import filled, flags
 from ..._numeric.products import dot
-from ..._numeric.tolerances import ROUNDOFF
+from ..._numeric.tolerances import COMPUTED, ROUNDOFF
 from .tolerances import MISSED
 
 SWEEPS = 100
@@ -44,7 +44,7 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
         impulse[3 * i + 2], compliance[i] = given[i], 1.0 / stiffness[i]
     none = np.zeros(0)
     law = Law(friction, np.zeros((n, 2)), given, filled(np.empty(n), math.inf), flags(n, False), none, none)
-    return solve_compliant(CoulombProblem(w, v, law), impulse, compliance)
+    return solve_compliant(CoulombProblem(w, v, law), impulse, compliance, COMPUTED)
 
 
 @inlined

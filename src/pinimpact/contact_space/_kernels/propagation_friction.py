@@ -14,7 +14,7 @@ from ..._numeric.augmented_newton import Law
 from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import dot
-from ..._numeric.tolerances import LITTLE, TINY
+from ..._numeric.tolerances import COMPUTED, LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
     Series,
@@ -348,6 +348,6 @@ def _solve_resting(system, state, unit, weight, cap, forces):
     for c in range(count):
         compliance[c] = 1.0 / max(bounds[c], LITTLE * largest)
     law = Law(mu, slip, least, most, flags(count, False), none, none)
-    solve_compliant(CoulombProblem(delassus, free, law), x, compliance)
+    solve_compliant(CoulombProblem(delassus, free, law), x, compliance, COMPUTED)
     for a in range(size):
         forces[3 * at[a // 3] + a % 3] = x[a]

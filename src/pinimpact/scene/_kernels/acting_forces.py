@@ -22,7 +22,7 @@ from ..._numeric.coulomb_problem import (
 from ..._numeric.elimination import RANK
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, filled, nonzero, ones
-from ..._numeric.tolerances import UNDETERMINED
+from ..._numeric.tolerances import COMPUTED, UNDETERMINED
 from .tolerances import NEGLIGIBLE
 
 COMPLIANT, AT_REST, AS_BEFORE, ANY = range(4)
@@ -55,13 +55,13 @@ def find_forces(problem, x, pressed, before, unique):
         if way <= AT_REST:
             at_rest(problem, pressed, trial)
         if way == COMPLIANT:
-            error = solve_compliant(problem, trial, ones(len(problem.law.friction)))
+            error = solve_compliant(problem, trial, ones(len(problem.law.friction)), COMPUTED)
         elif way == ANY:
             error = solve_coulomb(problem, trial)
         else:
             if way == AS_BEFORE:
                 assign(trial, before)
-            error = polish(problem, trial)
+            error = polish(problem, trial, COMPUTED)
         if error > (USABLE if unique else UNDETERMINED):  # see (11.10)
             if way == ANY and not found:
                 assign(x, trial)

@@ -10,11 +10,10 @@ from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import coulomb_law
 from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
-from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, ones, repeated
-from ..._numeric.products import apply, apply_symmetric, dot
-from ..._numeric.tolerances import COMPUTED, ROUNDOFF, TINY, UNDETERMINED
-from .contact_forces import HELD, SLIP, STICK, delassus_of_rows
+from ..._numeric.products import apply
+from ..._numeric.tolerances import COMPUTED, ROUNDOFF, UNDETERMINED
+from .contact_forces import HELD, SLIP, STICK, delassus_of_rows, solve_redundant
 from .workspace import SceneWorkspace
 
 
@@ -65,7 +64,7 @@ def compliant_forces(work):
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, work.minverse, response, delassus)
     problem = CoulombProblem(delassus, free, coulomb_law(mu, slip, held, lower, upper))
-    residual = solve_compliant(problem, x, ones(nc))
+    residual = solve_compliant(problem, x, ones(nc), work.rank_tolerance)
     if residual > UNDETERMINED:
         return False
     largest = 0.0
@@ -114,28 +113,18 @@ def coupled_to_violations(work):
 
 @inlined
 def satisfy(work, rounding):
-    """Correct `work.solution` so that it satisfies (9.3); changes of `rounding` keep zeros and bounds.
-
-    Rows are scaled to an inverse inertia of one without friction: light bodies would decide the rank.
-    """
-    system, target, solution, rows = work.system, work.target, work.solution, work.equation_rows
+    """Correct `work.solution` so that it satisfies (9.3); changes of `rounding` keep zeros and bounds."""
+    system, target, solution = work.system, work.target, work.solution
     size = len(solution)
-    scaled, right, change = np.empty((size, size)), np.empty(size), np.empty(size)
-    scale, alone = np.empty(size), np.empty(work.nv)
-    apply(system, solution, right)
+    missing, change = np.empty((1, size)), np.empty((1, size))
+    apply(system, solution, missing[0])
     for a in range(size):
-        apply_symmetric(work.minverse, rows[a], alone)
-        scale[a] = 1.0 / math.sqrt(max(dot(rows[a], alone), TINY))
-        right[a] = scale[a] * (target[a] - right[a])
+        missing[0, a] = target[a] - missing[0, a]
+    solve_redundant(work, missing, change, np.empty((0, size)), False)
     for a in range(size):
-        for b in range(size):
-            scaled[a, b] = scale[a] * system[a, b] * scale[b]
-    least_norm(scaled, right, work.rank_tolerance, change, np.empty((0, size)))
-    for a in range(size):
-        change[a] *= scale[a]
         m = a - size + len(work.scalar_lower)
         bounded = solution[a] == 0.0
         if m >= 0:
             bounded = solution[a] == work.scalar_lower[m] or solution[a] == work.scalar_upper[m]
-        if not bounded or abs(change[a]) > rounding:
-            solution[a] += change[a]
+        if not bounded or abs(change[0, a]) > rounding:
+            solution[a] += change[0, a]

@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import declared
+from ..._compile.declared import FLOAT_ROWS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.least_norm import least_norm, least_norms
+from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign
 from ..._numeric.products import apply_symmetric, dot, products
-from ..._numeric.tolerances import ROUNDOFF
+from ..._numeric.tolerances import ROUNDOFF, TINY
 from .tolerances import (
     FINEST,
     LEAST_SIZE,
@@ -212,13 +212,59 @@ def may_grow(effective):
     return False
 
 
+@declared(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, bool)
+@external
+def solve_redundant(work, rights, found, null, transposed):
+    """Fill found (k, m) with solutions of the system of (9.3), which may be singular, for `rights` (k, m).
+
+    Rows are scaled to an inverse inertia of one without friction: light bodies would decide the rank, and
+    their rounding errors the forces on others.
+
+    Args:
+        work: The workspace.
+        rights: (k, m) right-hand sides.
+        found: (k, m) is overwritten.
+        null: (m, m), or (0, m) if not needed, is overwritten with unit vectors that span the null space.
+        transposed: Whether to solve the transposed system.
+
+    Returns:
+        The rank.
+    """
+    system, rows = work.system, work.equation_rows
+    size, largest = len(system), 0.0
+    d, alone, scaled, sides = np.empty(size), np.empty(work.nv), np.empty((size, size)), rights.copy()
+    for a in range(size):
+        apply_symmetric(work.minverse, rows[a], alone)
+        d[a] = max(dot(rows[a], alone), system[a, a])  # of a row that no force moves: see `set_up_equations`
+        largest = max(largest, d[a])
+    for a in range(size):
+        d[a] = 1.0 / math.sqrt(max(d[a], ROUNDOFF * largest, TINY))
+    for a in range(size):
+        for b in range(size):
+            scaled[a, b] = d[a] * d[b] * (system[b, a] if transposed else system[a, b])
+        for side in sides:
+            side[a] *= d[a]
+    rank = least_norms(scaled, sides, work.rank_tolerance, found, null)
+    for x in found:
+        for a in range(size):
+            x[a] *= d[a]
+    for k in range(min(size - rank, len(null))):
+        square = 0.0
+        for a in range(size):
+            null[k, a] *= d[a]
+            square += null[k, a] ** 2
+        for a in range(size):
+            null[k, a] /= math.sqrt(square)
+    return rank
+
+
 @declared(SceneWorkspace)
 @external
-def solve_least_norm(work):
-    """Fill `work.solution` with the limit of small compliances (11.12) of the singular system (9.3).
+def limit_of_compliances(work):
+    """Fill `work.solution` with the limit (A + ε 1) x = b, ε → 0, of the singular system (9.3). (11.12)
 
-    Without slip against friction it is the solution of least norm. Bounds are not considered, see
-    `compliant_forces`.
+    It has Lᵀx = 0, where LᵀA = 0. If LᵀN is singular, where A N = 0, any solution is returned. Bounds are not
+    considered, see `compliant_forces`.
 
     The rank is decided where a motion begins, see `evaluate_anew`. In the stages of a step redundant rows
     contradict each other by the error of the stage, which only very large forces would satisfy.
@@ -226,46 +272,40 @@ def solve_least_norm(work):
     Returns:
         Whether the solution is unique.
     """
-    system, target, solution = work.system, work.target, work.solution
-    size = len(target)
-    no_basis, trial, decides = np.empty((0, size)), np.empty(size), work.rank_tolerance == UNDECIDED
+    size, x = len(work.target), work.solution
+    rights, found, none = np.empty((1, size)), np.empty((1, size)), np.empty((0, size))
+    right_null, left_null = np.empty((size, size)), np.empty((size, size))
+    assign(rights[0], work.target)
+    decides = work.rank_tolerance == UNDECIDED
     if decides:
         work.rank_tolerance = SINGULAR_STILL
-    unique = least_norm(system, target, work.rank_tolerance, solution, no_basis) == size
-    if not unique and slips_with_friction(work):
-        share_by_compliances(system, work.rank_tolerance, solution)
-    residual = relative_residual(work, solution)
+    free = size - solve_redundant(work, rights, found, right_null, False)
+    residual = relative_residual(work, found[0])
     if decides and residual > NEGLIGIBLE:
         # keep rows of small inverse inertia too, although their forces may be large
-        least_norm(system, target, FINEST, trial, no_basis)
-        if relative_residual(work, trial) < 0.1 * residual:
-            work.rank_tolerance = FINEST
-            assign(solution, trial)
-    return unique
-
-
-@external
-def share_by_compliances(system, rank_tolerance, x):
-    """Replace a solution x (n,) of A x = b, A singular, by the limit of (A + ε 1) x = b for ε → 0. (11.12)
-
-    The limit has Lᵀx = 0, where LᵀA = 0. If LᵀN is singular, where A N = 0, x is left unchanged.
-    """
-    size = len(x)
-    nothing, found = np.empty((0, size)), np.empty((0, size))
-    right_null, left_null = np.empty((size, size)), np.empty((size, size))
-    free = size - least_norms(system, nothing, rank_tolerance, found, right_null)
-    if free != size - least_norms(system.T.copy(), nothing, rank_tolerance, found, left_null):
-        return
+        work.rank_tolerance = FINEST
+        free = size - solve_redundant(work, rights, found, right_null, False)
+        if not relative_residual(work, found[0]) < 0.1 * residual:
+            work.rank_tolerance = SINGULAR_STILL
+            free = size - solve_redundant(work, rights, found, right_null, False)
+    assign(x, found[0])
+    if free == 0:
+        return True
+    if slips_with_friction(work):
+        if free != size - solve_redundant(work, none, none, left_null, True):
+            return False
+    else:
+        left_null = right_null
     overlap, right, part = np.empty((free, free)), np.empty(free), np.empty(free)
     for a in range(free):
         right[a] = -dot(left_null[a], x)
         for b in range(free):
             overlap[a, b] = dot(left_null[a], right_null[b])
-    if solve(overlap, right, part, RANK) == 0:
-        return
-    for a in range(free):
-        for b in range(size):
-            x[b] += part[a] * right_null[a, b]
+    if solve(overlap, right, part, RANK) != 0:
+        for a in range(free):
+            for b in range(size):
+                x[b] += part[a] * right_null[a, b]
+    return False
 
 
 @inlined

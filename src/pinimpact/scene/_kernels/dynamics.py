@@ -280,7 +280,7 @@ def add_forces(work, out):
     elif work.forces_unique:
         orientation = 1 if solve_definite(system, target, work.solution) else 0
     work.forces_unique = orientation != 0
-    shared = orientation == 0 and not contact_forces.solve_least_norm(work)
+    shared = orientation == 0 and not contact_forces.limit_of_compliances(work)
     if orientation == 0:
         work.forces_unique = not shared and not friction
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])

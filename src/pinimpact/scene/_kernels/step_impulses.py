@@ -14,7 +14,7 @@ from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant, solve_c
 from ..._numeric.loops import assign, filled
 from ..._numeric.products import products
 from ..._numeric.semidefinite import invert_definite
-from ..._numeric.tolerances import LITTLE, STALLED
+from ..._numeric.tolerances import COMPUTED, LITTLE, STALLED
 from .step_rows import first_row
 
 USABLE = STALLED
@@ -116,7 +116,7 @@ def solve_in_impulses(problem, residual, change, found):
     impulses = np.zeros(n)
     whole = CoulombProblem(delassus, free, law)
     if n > m and nc > 0:
-        residual_now = solve_compliant(whole, impulses, compliance)
+        residual_now = solve_compliant(whole, impulses, compliance, COMPUTED)
     else:
         residual_now = solve_coulomb(whole, impulses)
     if not residual_now < residual:

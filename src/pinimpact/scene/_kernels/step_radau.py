@@ -18,10 +18,9 @@ import numpy as np
 from ..._compile.declared import declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply_symmetric
-from .contact_forces import SLIP
+from .contact_forces import SLIP, solve_redundant
 from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
 from .stiff_drives import add_response, driven_at, filter_error
@@ -50,7 +49,7 @@ def fill_turn_effect(work, k, s1, s2, across, effect):
     for i in range(k):
         row += 1 if mode[i] == SLIP else 3
     force = mu[k] * solution[row]
-    pushed, change, reaction = np.empty(n), np.empty(size), np.empty(size)
+    pushed, change, reaction = np.empty(n), np.empty((1, size)), np.empty((1, size))
     for j in range(n):
         across[j] = s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]
         pushed[j] = -force * across[j]
@@ -59,12 +58,12 @@ def fill_turn_effect(work, k, s1, s2, across, effect):
         total = 0.0
         for j in range(n):
             total -= equations[m, j] * effect[j]
-        change[m] = total
-    if not work.forces_unique or solve(work.system, change, reaction, RANK) == 0:
-        least_norm(work.system, change, work.rank_tolerance, reaction, np.empty((0, size)))
+        change[0, m] = total
+    if not work.forces_unique or solve(work.system, change[0], reaction[0], RANK) == 0:
+        solve_redundant(work, change, reaction, np.empty((0, size)), False)
     for m in range(size):
         for j in range(n):
-            effect[j] += response[m, j] * reaction[m]
+            effect[j] += response[m, j] * reaction[0, m]
 
 
 class Turning(NamedTuple):

@@ -18,6 +18,7 @@ from ..._numeric.elimination import RANK
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
+from .contact_forces import solve_redundant
 from .dynamics import evaluate, invert_mass_matrix, set_state
 from .radau import GAMMA, MATRIX, STAGES
 from .workspace import SceneWorkspace
@@ -64,9 +65,10 @@ def fill_response(work, driven, response):
             for j in range(n):
                 total -= rows[m, j] * response[c, j]
             targets[c, m] = total
-    if size > 0:
-        rank = RANK if work.forces_unique else work.rank_tolerance
-        least_norms(work.system, targets, rank, reactions, no_basis)
+    if size > 0 and work.forces_unique:
+        least_norms(work.system, targets, RANK, reactions, no_basis)
+    elif size > 0:
+        solve_redundant(work, targets, reactions, no_basis, False)
     for c in range(count):
         for m in range(size):
             for j in range(n):

@@ -32,11 +32,12 @@ AT_BOUND = NEGLIGIBLE
 
 SINGULAR_STILL = 1e-7
 """Pivot, relative to the largest, that is taken as zero once a pivot has been below `RANK`. The larger value
-keeps the rank from alternating in a motion close to a singular state."""
+keeps the rank from alternating in a motion close to a singular state: redundant rows contradict each other by
+the errors of a step. Rows are scaled, see `solve_redundant`."""
 
 FINEST = NOISE
-"""The same where `SINGULAR_STILL` leaves residuals above `NEGLIGIBLE`: an example is a loaded leg of 1 kg,
-within 10⁻⁵ rad of being stretched, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
+"""The same where `SINGULAR_STILL` leaves residuals above `NEGLIGIBLE`: an example is an arm within 10⁻⁴ rad of
+being stretched, whose tip sticks. Rounding is at 10⁻¹⁵."""
 
 UNDECIDED = 0.0
 """The same before it has been decided."""
