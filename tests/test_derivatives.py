@@ -8,6 +8,7 @@ import pytest
 import pinimpact
 from pinimpact import LAWS, Boundary, Flag, ImpactProblem
 
+from .drawing import one_of_each
 from .reference.problems import RECIPES
 from .reference.slopes import INPUTS, slopes
 
@@ -68,8 +69,7 @@ def error(found, reference, W, v):
     return worst
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("category", REGIMES)
+@pytest.mark.parametrize(("category", "law"), one_of_each(list(REGIMES), list(LAWS)))
 def test_random_problems_against_multiple_precision(category, law):
     W, v, mu, e, d = drawn(category, law, 0)
     found, known = columns_of(d), np.arange(INPUTS)
@@ -305,7 +305,9 @@ def test_stick_threshold_is_a_boundary():
     assert np.abs(columns_of(d)[:, known] - reference[:, known]).max() < 1e-9
 
 
-@pytest.mark.parametrize("law", pinimpact.LAWS)
+@pytest.mark.parametrize(
+    "law", ["poisson", *(pytest.param(law, marks=pytest.mark.exhaustive) for law in ("newton", "energetic"))]
+)
 def test_slow_slip_at_the_stick_threshold(law):
     # the speed hardly grows, so a slower slip takes a longer path relative to its speed
     W = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])

@@ -215,6 +215,7 @@ def test_output_of_kanes_puzzle(tmp_path, monkeypatch, capsys) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_tossed_box_is_identified(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("identify_box", tmp_path, monkeypatch, capsys)
     rows = [line.replace(",", "").split() for line in out.splitlines() if ", true " in line]

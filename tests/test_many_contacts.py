@@ -19,6 +19,8 @@ from pinimpact.contact_space.many_inputs import many_inputs
 from pinimpact.contact_space.waves import _propagate_in_steps
 from pinimpact.robot._kernels.responses import half_solve
 
+from .drawing import one_of_each
+
 CRADLE = (-0.130261695064521, 0.150229569434774, 0.980032125629747)
 
 
@@ -118,8 +120,7 @@ def test_ten_balls_agree_with_siconos():
     assert abs(ours[8] - theirs[8]) > 4e-4  # an error of Siconos, as the previous test shows
 
 
-@pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8])
-@pytest.mark.parametrize("e", [1.0, 0.5])
+@pytest.mark.parametrize(("ratio", "e"), one_of_each([1e4, 1e6, 1e8], [1.0, 0.5]))
 def test_stiffness_ratios_of_1e4_to_1e8(e, ratio):
     # with increasing stiffness the balls behind the first contact move as one body; with decreasing stiffness
     # impacts of two balls follow each other

@@ -28,6 +28,7 @@ from pinimpact import (
 )
 from pinimpact.geometry._kernels.constants import KIND
 
+from .drawing import one_of_each
 from .robot_cases import FRAMES, load
 from .scene_models import unbounded
 from .test_step_derivatives import box, corners
@@ -407,8 +408,7 @@ def test_held_point_is_equivalent_to_ball_joint(restitution, at_impact):
 
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
-@pytest.mark.parametrize("law", pinimpact.LAWS)
-@pytest.mark.parametrize("sliding", [0.1, 0.3])
+@pytest.mark.parametrize(("law", "sliding"), one_of_each(list(pinimpact.LAWS), [0.1, 0.3]))
 def test_derivative_by_zero_restitution_is_limit_of_small_bounces(scheme, law, sliding):
     # impacts reduce the sliding speed by μ v (1 + e)/(1 − e), sliding friction by μ_s (g t − 2ev/(1 − e))
     block = Contact("block centre", Plane(), 0.2, law=law, sliding_friction=sliding, name="block")
@@ -648,8 +648,7 @@ def above_a_block(shape, turns):
     return pin.RobotWrapper(model, shapes)
 
 
-@pytest.mark.parametrize("kind", SHAPES)
-@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize(("kind", "turns"), one_of_each(list(SHAPES), [False, True]))
 def test_convex_shapes_on_block(kind, turns):
     shape, x, v, friction, restitution, duration = SHAPES[kind]
     turned = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, 0.2, 0.1)).coeffs()

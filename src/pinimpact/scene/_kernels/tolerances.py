@@ -36,8 +36,8 @@ keeps the rank from alternating in a motion close to a singular state: redundant
 the errors of a step. Rows are scaled, see `solve_redundant`."""
 
 FINEST = NOISE
-"""The same where `SINGULAR_STILL` leaves residuals above `NEGLIGIBLE`: an example is an arm within 10⁻⁴ rad of
-being stretched, whose tip sticks. Rounding is at 10⁻¹⁵."""
+"""The same where `SINGULAR_STILL` leaves residuals above `NEGLIGIBLE`, as for the sticking tip of an arm
+within 10⁻⁴ rad of being stretched. Rounding is at 10⁻¹⁵."""
 
 UNDECIDED = 0.0
 """The same before it has been decided."""
