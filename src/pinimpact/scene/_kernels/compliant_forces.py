@@ -120,7 +120,7 @@ def satisfy(work, rounding):
     apply(system, solution, missing[0])
     for a in range(size):
         missing[0, a] = target[a] - missing[0, a]
-    solve_redundant(work, missing, change, np.empty((0, size)), False)
+    solve_redundant(work, system, missing, change, np.empty((0, size)))
     for a in range(size):
         m = a - size + len(work.scalar_lower)
         bounded = solution[a] == 0.0

@@ -212,26 +212,25 @@ def may_grow(effective):
     return False
 
 
-@declared(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, bool)
+@declared(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
 @external
-def solve_redundant(work, rights, found, null, transposed):
-    """Fill found (k, m) with solutions of the system of (9.3), which may be singular, for `rights` (k, m).
+def solve_redundant(work, system, rights, found, null):
+    """Fill found (k, m) with solutions of a system like (9.3), which may be singular, for `rights` (k, m).
 
     Rows are scaled to an inverse inertia of one without friction: light bodies would decide the rank, and
     their rounding errors the forces on others.
 
     Args:
         work: The workspace.
+        system: (m, m) matrix of (9.3), or its transpose.
         rights: (k, m) right-hand sides.
         found: (k, m) is overwritten.
         null: (m, m), or (0, m) if not needed, is overwritten with unit vectors that span the null space.
-        transposed: Whether to solve the transposed system.
 
     Returns:
         The rank.
     """
-    system, rows = work.system, work.equation_rows
-    size, largest = len(system), 0.0
+    rows, size, largest = work.equation_rows, len(system), 0.0
     d, alone, scaled, sides = np.empty(size), np.empty(work.nv), np.empty((size, size)), rights.copy()
     for a in range(size):
         apply_symmetric(work.minverse, rows[a], alone)
@@ -241,7 +240,7 @@ def solve_redundant(work, rights, found, null, transposed):
         d[a] = 1.0 / math.sqrt(max(d[a], ROUNDOFF * largest, TINY))
     for a in range(size):
         for b in range(size):
-            scaled[a, b] = d[a] * d[b] * (system[b, a] if transposed else system[a, b])
+            scaled[a, b] = d[a] * system[a, b] * d[b]
         for side in sides:
             side[a] *= d[a]
     rank = least_norms(scaled, sides, work.rank_tolerance, found, null)
@@ -272,27 +271,27 @@ def limit_of_compliances(work):
     Returns:
         Whether the solution is unique.
     """
-    size, x = len(work.target), work.solution
+    system, size, x = work.system, len(work.target), work.solution
     rights, found, none = np.empty((1, size)), np.empty((1, size)), np.empty((0, size))
     right_null, left_null = np.empty((size, size)), np.empty((size, size))
     assign(rights[0], work.target)
     decides = work.rank_tolerance == UNDECIDED
     if decides:
         work.rank_tolerance = SINGULAR_STILL
-    free = size - solve_redundant(work, rights, found, right_null, False)
+    free = size - solve_redundant(work, system, rights, found, right_null)
     residual = relative_residual(work, found[0])
     if decides and residual > NEGLIGIBLE:
         # keep rows of small inverse inertia too, although their forces may be large
         work.rank_tolerance = FINEST
-        free = size - solve_redundant(work, rights, found, right_null, False)
+        free = size - solve_redundant(work, system, rights, found, right_null)
         if not relative_residual(work, found[0]) < 0.1 * residual:
             work.rank_tolerance = SINGULAR_STILL
-            free = size - solve_redundant(work, rights, found, right_null, False)
+            free = size - solve_redundant(work, system, rights, found, right_null)
     assign(x, found[0])
     if free == 0:
         return True
     if slips_with_friction(work):
-        if free != size - solve_redundant(work, none, none, left_null, True):
+        if free != size - solve_redundant(work, system.T.copy(), none, none, left_null):
             return False
     else:
         left_null = right_null

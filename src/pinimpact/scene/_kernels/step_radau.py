@@ -60,7 +60,7 @@ def fill_turn_effect(work, k, s1, s2, across, effect):
             total -= equations[m, j] * effect[j]
         change[0, m] = total
     if not work.forces_unique or solve(work.system, change[0], reaction[0], RANK) == 0:
-        solve_redundant(work, change, reaction, np.empty((0, size)), False)
+        solve_redundant(work, work.system, change, reaction, np.empty((0, size)))
     for m in range(size):
         for j in range(n):
             effect[j] += response[m, j] * reaction[0, m]

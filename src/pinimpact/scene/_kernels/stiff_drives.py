@@ -68,7 +68,7 @@ def fill_response(work, driven, response):
     if size > 0 and work.forces_unique:
         least_norms(work.system, targets, RANK, reactions, no_basis)
     elif size > 0:
-        solve_redundant(work, targets, reactions, no_basis, False)
+        solve_redundant(work, work.system, targets, reactions, no_basis)
     for c in range(count):
         for m in range(size):
             for j in range(n):
