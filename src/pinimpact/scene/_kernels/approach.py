@@ -24,7 +24,7 @@ def touches(work, gap, rate):
 
     Corners of equal faces may have gaps of that size, through which no motion would ever bring them.
     """
-    return gap <= max(work.touching_gap, work.atol) and abs(rate) <= work.resting_speed
+    return gap <= max(work.touching_gap, work.atol) and abs(rate) <= work.stick_speed
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS, bool, float, INTEGERS, INTEGERS)
