@@ -374,9 +374,11 @@ def test_drives_and_damping(stiff):
     compare(Scene(robot.model, control=control, without=["joint limits"]), robot.q0, v, 0.05)
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.5])
-def test_joint_limit(restitution):
+@pytest.mark.parametrize(("restitution", "damping"), [(0.0, 0.5), (0.5, 0.5), (0.5, 500.0)])
+def test_joint_limit(restitution, damping):
+    """Strong damping of a wrist joint is implicit (θ = 1), also in the step that the impact divides."""
     robot, v = panda()
+    robot.model.damping[5] = damping
     q = robot.q0.copy()
     q[0], v[0] = robot.model.upperPositionLimit[0] - 0.003, 0.4
     scene = Scene(robot.model, limit_restitution=restitution)

@@ -20,6 +20,7 @@ from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
 from pinimpact.scene._kernels.step_impulses import step_impulses
 
+from .random_scenes import relative_energy_residual
 from .scene_models import UP, G, ball, box_on, free_body, hull_mesh, pendulum, slider, unbounded
 
 FLOOR = Plane()
@@ -141,6 +142,28 @@ def test_stiff_damping_by_a_function_is_stable(damping, load):
     way = slow * 0.2 + (1.0 - slow) * -np.expm1(-damping * 0.2) / damping
     assert run.q[-1] == pytest.approx([way, 0.2 + 0.02 * load], abs=2.5e-4)
     assert run.v[-1] == pytest.approx([slow, 1.0 + 0.2 * load], abs=1e-3)
+
+
+@pytest.mark.parametrize("light", [0, 1])
+def test_stiff_damping_of_joints_does_not_alternate(light):
+    """If the link between two coaxial joints is light, only their difference is stiff. (theory.md, 16.1)"""
+    model, joint, inertia = pin.Model(), 0, 1e-6
+    model.gravity = pin.Motion.Zero()
+    for k in range(2):
+        joint = model.addJoint(joint, pin.JointModelRX(), pin.SE3.Identity(), f"joint {k}")
+        own = (inertia if k == light else 1.0) * np.eye(3)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), own), pin.SE3.Identity())
+    unbounded(model)
+    model.damping = np.full(2, 0.1)
+    v0 = np.array([300.0, -299.0] if light == 0 else [0.0, 300.0])
+    run = step(Scene(model), np.zeros(2), v0, 0.1, 1e-3)
+    # a light first link gives half of its momentum to the second one, which both dampers slow in series
+    slow = np.exp(-0.05 * 0.1) * (1.0 + 0.5 * 300.0 * inertia) if light == 0 else 300.0 * inertia
+    assert run.v[-1].sum() == pytest.approx(slow, abs=1e-5)
+    relative = run.v[:, 0] - run.v[:, 1] if light == 0 else run.v[:, 1]
+    assert (np.diff(np.abs(relative[:5])) < 0.0).all()
+    assert np.abs(relative[5:]).max() < 1e-4
+    assert relative_energy_residual(run) < 1e-9
 
 
 def test_control_that_jumps_is_not_taken_for_stiff_damping():

@@ -40,9 +40,10 @@ SHORTER = 16
 STEPS_PER_SCALE = 50.0
 """Least number of time steps per time scale of the scene; it limits `dt` in small scenes."""
 
-ACCUMULATING, BRIEF = 200, 0.01
-"""Events accumulate if this number of steps is shorter than `BRIEF` times `dt` on average and half of them
-end at events."""
+ACCUMULATING, BRIEF, RARE = 200, 0.01, 0.05
+"""Events accumulate if this number of steps is shorter than `BRIEF` times `dt` on average, and half of them
+end at events. If fewer do, but this part at least, the time per event is what counts: after each event, stiff
+joints may take many steps to settle."""
 
 LOOKED_AT, COSTLY, SOME = 50, 5.4e4, 0.1
 """Time steps take over if this number of steps is on average shorter than `dt` times n² nv / `COSTLY`, or
@@ -147,11 +148,15 @@ class Alternating(TimeStepping):
         """
         active, steps = self.work.active_contacts, self.record.dense_steps
         part = min(active**2 * self.model.nv / COSTLY, 1.0)
-        count, part, ending = (LOOKED_AT, part, SOME) if part > BRIEF else (ACCUMULATING, BRIEF, BY_EVENTS)
+        count, part, least = (LOOKED_AT, part, SOME) if part > BRIEF else (ACCUMULATING, BRIEF, RARE)
         if len(steps) - self.state.events_since < count:
             return
         covered = steps[-1].end - steps[-count].start
-        if covered < part * count * self._longest and ended(self.instant, count) >= ending * count:
+        if covered >= part * count * self._longest:
+            return
+        events = ended(self.instant, count)
+        brief = part > BRIEF or covered < part * min(count, events / BY_EVENTS) * self._longest
+        if brief and events >= least * count:
             raise IrregularMotionError(
                 f"scene: {count} steps cover {covered:.3g} s, with active contacts: {active}"
             )

@@ -231,7 +231,7 @@ class StepSlopes:
         work, follows = self._work, taken.follows  # the drives that follow their laws
         stiffness = np.where(follows, work.drive_stiffness, 0.0)
         damping = work.damping + np.where(follows, work.drive_damping, 0.0)
-        softer = 0.5 * damping + 0.5 * h * stiffness  # derivative of `softened` by h
+        softer = softened / h + 0.25 * h * stiffness  # derivative of `softened` by h
         mass = mass_matrix(self._model, self._data, q)
         total = mass + np.diag(softened)
 

@@ -233,10 +233,9 @@ class TimeStepping(Integrator):
             The rows, matrices and result of the step, and what `close_gaps` returns.
         """
         state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
-        (softened, damped), pushed = self._softening(h), state.pushed
-        self._invert(q, softened)
+        terms, pushed = self._compute_mass(q, h), state.pushed
         system = StepSystem(
-            *(self._mass, self._inverse, softened, damped, self._tree, self._start),
+            *(self._mass, self._inverse, *terms, self._tree, self._start),
             *(self._rest.joints, self._collides, self._restitution, self._compliances, self._gravity),
         )
         state.warm_start = np.array(state.warm_start)
@@ -352,18 +351,30 @@ class TimeStepping(Integrator):
             *(np.empty((every, 3)), np.empty(every + len(limits))),
         )
 
-    def _softening(self, h: float) -> tuple[Array, Array]:
-        """Return (nv,) what damping and drives add to the diagonal of M in a step of size h [s].
+    def _compute_mass(self, q: Array, h: float) -> tuple[Array, Array, Array]:
+        """Compute M and its inverse at q (nq,) with the terms of damping and drives in a step of size h [s].
 
-        The second one is the part of damping.
+        Velocities whose damping would make them alternate in sign get θ = 1. (theory.md, 16.1)
+
+        Returns:
+            `softened`, `damping` and `theta` of `StepSystem`.
         """
         work = self.work
-        damped = 0.5 * h * work.damping
-        if not self.dynamics.driven:
-            return damped, damped
-        follows = work.drive_side == 0
-        damped = damped + np.where(follows, 0.5 * h * work.drive_damping, 0.0)
-        return damped + np.where(follows, 0.25 * h * h * work.drive_stiffness, 0.0), damped
+        damping, sprung, theta = h * work.damping, np.zeros(work.nv), np.full(work.nv, 0.5)
+        if self.dynamics.driven:
+            follows = work.drive_side == 0
+            damping = damping + np.where(follows, h * work.drive_damping, 0.0)
+            sprung = np.where(follows, 0.25 * h * h * work.drive_stiffness, 0.0)
+        damped = np.flatnonzero(damping)
+        root = np.sqrt(damping[damped])
+        while True:
+            softened = theta * damping + sprung
+            self._invert(q, softened)
+            part = np.abs(self._inverse[np.ix_(damped, damped)])
+            alternate = damped[(theta[damped] < 1.0) & (root * (part @ root) > 1.0)]
+            if not len(alternate):
+                return softened, damping, theta
+            theta[alternate] = 1.0
 
     def _invert(self, q: Array, added: Array) -> None:
         """Compute M + diag(`added`) and its inverse, unless both are unchanged."""

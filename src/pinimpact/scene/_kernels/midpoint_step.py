@@ -182,9 +182,9 @@ def free_velocity(h, v, acceleration, system, predicted, out):
     `acceleration` (nv,) is that at the midpoint, where v alone leads, and at the mean of v and `predicted`.
     The forces of damping are corrected linearly from `predicted` to the result, those of stiffness from v.
     """
-    softened, damped, moved = system.softened, system.damped, np.empty(len(v))
+    softened, damping, moved = system.softened, system.damping, np.empty(len(v))
     for c in range(len(v)):
-        moved[c] = h * softened[c] * acceleration[c] - damped[c] * (predicted[c] - v[c])
+        moved[c] = h * softened[c] * acceleration[c] - 0.5 * damping[c] * (predicted[c] - v[c])
     apply_symmetric(system.inverse, moved, out)  # most entries of `moved` are zero
     for c in range(len(v)):
         out[c] = v[c] + h * acceleration[c] - out[c]

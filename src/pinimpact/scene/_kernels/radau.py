@@ -23,6 +23,9 @@ from .trees import end_of_tree
 
 STAGES = 5
 
+SLOW = 0.5
+"""h wᵀu/s, and h times the rate of the drives, up to which an implicit step only iterates these terms."""
+
 
 def _coefficients():
     """Return the coefficients of the method, see below."""

@@ -21,7 +21,7 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply_symmetric
 from .contact_forces import SLIP, solve_redundant
-from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
+from .radau import GAMMA, MATRIX, SLOW, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
 from .stiff_drives import add_response, driven_at, filter_error
 from .workspace import SceneWorkspace
@@ -31,9 +31,6 @@ ITERATIONS = 12
 
 STIFF = 3.0
 """h wᵀu/s above which steps are implicit: explicit ones are stable up to about twice this value."""
-
-SLOW = 0.5
-"""h wᵀu/s, and h times the rate of the drives, up to which an implicit step only iterates these terms."""
 
 
 @inlined
@@ -219,7 +216,7 @@ def attempt(work, t, h, rtol, atol):
     work.step_turns = turns
     if turns:
         work.direction_speed = math.inf  # friction is then opposite to `slip_reference` at any speed
-    driven, found = driven_at(work, t, h, h * work.drive_rate > SLOW)
+    driven, found = driven_at(work, t, h)
     error = iterations(work, t, h, rtol, atol, (driven, turning(work, turns))) if found else math.inf
     work.direction_speed = slowest
     if error <= 1.0 and not work.callback_failed:

@@ -80,10 +80,10 @@ def joint_powers(work, h, v, system, found, dried, powers):
     """
     v_end, predicted = found.v_end, found.predicted
     for c in range(len(v)):
-        mean = 0.5 * (v[c] + v_end[c])
-        follows = (system.damped[c] - 0.5 * h * work.damping[c]) * (v_end[c] - predicted[c])
-        follows += (system.softened[c] - system.damped[c]) * (v_end[c] - v[c])
-        pushed, lost = h * work.control_force[c] - follows, dried[c] - h * work.damping[c] * mean
+        change, damping = system.theta[c] * (v_end[c] - v[c]), h * work.damping[c]
+        follows = (system.damping[c] - damping) * (change - 0.5 * (predicted[c] - v[c]))
+        follows += system.softened[c] * (v_end[c] - v[c]) - system.damping[c] * change
+        pushed, lost = h * work.control_force[c] - follows, dried[c] - damping * (v[c] + change)
         for e in range(2):
             speed = v[c] if e == 0 else v_end[c]
             powers[0, e] += pushed * speed

@@ -75,8 +75,9 @@ class StepSystem(NamedTuple):
     Attributes:
         mass: (nv, nv) M with the terms of damping and drives.
         inverse: (nv, nv) its inverse.
-        softened: (nv,) these terms, ½hD + ¼h²K.
-        damped: (nv,) the part of damping, ½hD.
+        softened: (nv,) these terms, θhD + ¼h²K.
+        damping: (nv,) hD.
+        theta: (nv,) θ, ½ or 1. (theory.md, 16.1)
         tree: (nv,) number of the tree that each velocity belongs to.
         start: (nv,) the first velocity of that tree.
         rests: (nj,) joints at rest, including the world; their velocity stays zero.
@@ -89,7 +90,8 @@ class StepSystem(NamedTuple):
     mass: FloatRows
     inverse: FloatRows
     softened: Floats
-    damped: Floats
+    damping: Floats
+    theta: Floats
     tree: Integers
     start: Integers
     rests: Flags

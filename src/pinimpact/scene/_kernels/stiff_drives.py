@@ -20,7 +20,7 @@ from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
 from .contact_forces import solve_redundant
 from .dynamics import evaluate, invert_mass_matrix, set_state
-from .radau import GAMMA, MATRIX, STAGES
+from .radau import GAMMA, MATRIX, SLOW, STAGES
 from .workspace import SceneWorkspace
 
 STIFF = 4.0
@@ -119,28 +119,45 @@ class Driven(NamedTuple):
 @inlined
 def no_drives(work):
     """Return the `Driven` of a step in which drives are not stiff."""
-    none = np.empty((0, 0))
-    return Driven(np.empty(0, dtype=np.int64), np.empty((0, work.nv)), none[0:0, 0], none[0:0, 0], none, none)
+    index, none = np.empty(0, dtype=np.int64), np.empty(0)
+    return Driven(index, np.empty((0, work.nv)), none, none, np.empty((0, 0)), index)
 
 
 @inlined
-def driven_at(work, t, h, stiff):
-    """Return the `Driven` at the start of a step, empty unless `stiff`, and whether this succeeded."""
-    n, s, index = work.nv, STAGES, driven_velocities(work)
-    if not stiff:
-        index = index[:0]
+def stiff_velocities(work, h):
+    """Return the velocities whose laws the iteration of a step needs; M⁻¹ is that of its start.
+
+    Of k laws with N d h ≤ `SLOW`/k each, the sum is at most `SLOW`, which bounds the spectral radius of
+    h N diag(d): these terms need only be iterated. Constraints only reduce N from M⁻¹.
+    """
+    index = driven_velocities(work)
+    marks = np.zeros(len(work.v), dtype=np.int64)
+    for j in index:
+        stiffness, damping = law(work, j)
+        rate = work.minverse[j, j] * (damping + h * stiffness)
+        marks[j] = h * rate * len(index) > SLOW
+    return nonzero(marks)
+
+
+@inlined
+def driven_at(work, t, h):
+    """Return the `Driven` at the start of a step, and whether this succeeded."""
+    n, s = work.nv, STAGES
+    if h * work.drive_rate <= SLOW:
+        return no_drives(work), True
+    set_state(work, work.q0, work.v0)
+    evaluate(work, t, np.empty(n + 4))
+    if work.callback_failed:
+        return no_drives(work), False
+    if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
+        return no_drives(work), False
+    index = stiff_velocities(work, h)
     k = len(index)
     response, stiffness, damping = np.empty((k, n)), np.empty(k), np.empty(k)
     matrix, order = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64)
     known = Driven(index, response, stiffness, damping, matrix, order)
     if k == 0:
         return known, True
-    set_state(work, work.q0, work.v0)
-    evaluate(work, t, np.empty(n + 4))
-    if work.callback_failed:
-        return known, False
-    if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
-        return known, False
     fill_response(work, index, response)
     for c in range(k):
         stiffness[c], damping[c] = law(work, index[c])
