@@ -1,6 +1,6 @@
 """A study whose workers and main process are killed while it runs.
 
-`python -m tests.interrupted_study FOLDER` runs or resumes the study in a folder with two worker processes.
+`python -m tests.interrupted_study FOLDER SAMPLES` runs or resumes the study in a folder with two workers.
 """
 
 import os
@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import parent_process
 from pathlib import Path
 
 import numpy as np
@@ -24,25 +25,26 @@ LONGEST = 120.0
 
 
 class Row:
-    """Row of a run that takes 20 ms more and records the id of its process as a file in a folder."""
+    """Row of a run that, in a worker, takes 20 ms more and records its process as a file in a folder."""
 
     def __init__(self, folder):
         self.folder = str(folder)
 
     def __call__(self, trajectory):
-        Path(self.folder, str(os.getpid())).touch()
-        time.sleep(0.02)
+        if parent_process() is not None:
+            Path(self.folder, str(os.getpid())).touch()
+            time.sleep(0.02)
         return ensembles.final_state(trajectory)
 
 
-def study(folder, processes, executor):
+def study(folder, processes, executor, samples=SAMPLES):
     """Run or resume the study."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "rail")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
     model.addFrame(pin.Frame("tip", joint, pin.SE3.Identity(), pin.OP_FRAME))
     over = {"restitution": stats.uniform(0.2, 0.6), "v0:rail": stats.norm(0.0, 0.2)}
-    given = {"over": over, "samples": SAMPLES, "seed": 5, "reduce": Row(processes), "executor": executor}
+    given = {"over": over, "samples": samples, "seed": 5, "reduce": Row(processes), "executor": executor}
     scene = Scene(model, [Contact("tip", Plane(), name="tip")])
     return ensembles.ensemble(scene, [0.1], [0.0], 0.4, out=folder, resume=True, **given)
 
@@ -64,7 +66,7 @@ def wait_for(what, met):
         time.sleep(0.01)
 
 
-def kill_and_finish(root, kills, seed=0):
+def kill_and_finish(root, kills, seed=0, samples=SAMPLES):
     """Kill workers and the main process in turn, continue each time, and return columns and kills by victim.
 
     After a kill of the main process its workers have to end too.
@@ -72,7 +74,7 @@ def kill_and_finish(root, kills, seed=0):
     rng = random.Random(seed)
     folder, processes = root / "study", root / "processes"
     processes.mkdir()
-    command = [sys.executable, "-m", "tests.interrupted_study", str(root)]
+    command = [sys.executable, "-m", "tests.interrupted_study", str(root), str(samples)]
     cwd = Path(__file__).parents[1]
     done = {"worker": 0, "main": 0}
     main = subprocess.Popen(command, cwd=cwd)
@@ -92,15 +94,15 @@ def kill_and_finish(root, kills, seed=0):
             wait_for("end of the workers", lambda workers=workers: not any(map(alive, workers)))
             main = subprocess.Popen(command, cwd=cwd)
     assert main.wait(timeout=10 * LONGEST) == 0
-    return study(folder, processes, None).columns, done
+    return study(folder, processes, None, samples).columns, done
 
 
-def undisturbed(root):
+def undisturbed(root, samples=SAMPLES):
     """Return the columns of the study in this process."""
     (root / "none").mkdir()
     processes = root / "processes"
     processes.mkdir(exist_ok=True)
-    return study(root / "whole", processes, None).columns
+    return study(root / "whole", processes, None, samples).columns
 
 
 def differences(one, other):
@@ -113,4 +115,4 @@ def differences(one, other):
 if __name__ == "__main__":
     ensembles.LARGEST_CHUNK = 3
     root = Path(sys.argv[1])
-    study(root / "study", root / "processes", 2)
+    study(root / "study", root / "processes", 2, int(sys.argv[2]))

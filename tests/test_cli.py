@@ -58,7 +58,14 @@ def test_demo(robot: str, tmp_path: Path) -> None:
         assert (tmp_path / "out" / name).stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("robot", ["kinova", "panda", "solo12", "talos_arm", "ur5", "xarm7", "z1"])
+@pytest.mark.parametrize(
+    "robot",
+    ["solo12", "ur5"]
+    + [
+        pytest.param(name, marks=pytest.mark.exhaustive)
+        for name in ("kinova", "panda", "talos_arm", "xarm7", "z1")
+    ],
+)
 def test_contact_velocity_of_demos(robot: str) -> None:
     shown = run_demo(robot)
     impact = shown.impact

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from functools import lru_cache
 from pathlib import Path
 
 import coal
@@ -15,7 +16,7 @@ from click.testing import CliRunner
 
 import pinimpact
 from pinimpact.app.cli import main
-from pinimpact.app.demo import FREE_BASE, run_demo
+from pinimpact.app.demo import FREE_BASE, Demo, run_demo
 from pinimpact.app.posture import Body
 from pinimpact.app.report import rounded
 from pinimpact.app.robot_info import robot_facts, suggested_frames
@@ -45,6 +46,14 @@ def written(tmp_path: Path, text: str) -> str:
     path = tmp_path / "own.urdf"
     path.write_text(text.format(inertial=INERTIAL), encoding="utf-8")
     return str(path)
+
+
+@lru_cache(maxsize=8)
+def demo_of(name: str) -> Demo:
+    """Return the demo of a named robot, which several tests look at."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # mimic joints, and meshes that a distribution lacks
+        return run_demo(name)
 
 
 def test_demo_of_urdf_with_massless_joint(tmp_path: Path) -> None:
@@ -144,29 +153,31 @@ def test_hand_strikes_level_table_with_moderate_joint_speeds() -> None:
     assert np.abs(shown.impact.v_before).max() < 20.0
 
 
-@pytest.mark.slow
-def test_table_of_tall_robot_is_below_its_head() -> None:
-    shown = run_demo("tiago_dual")
+@pytest.mark.parametrize("name", ["tiago", pytest.param("tiago_dual", marks=pytest.mark.exhaustive)])
+def test_table_of_tall_robot_is_below_its_head(name: str) -> None:
+    shown = demo_of(name)
     data = shown.robot.model.createData()
     pin.framesForwardKinematics(shown.robot.model, data, shown.impact.q)
     head = data.oMf[shown.robot.model.getFrameId("head_2_link")].translation
     assert shown.contact.plane.point[2] < head[2] - 0.2
 
 
-ARMS = "ur3", "xarm7", "kinova", "talos_arm", "allegro_left_hand"
-WITH_FREE_BASES = "solo12", "anymal_c", "icub", "hector", "bolt"
+ARMS = "ur3", "panda", "z1", "xarm7", "kinova", "talos_arm", "allegro_left_hand"
+WITH_FREE_BASES = "talos", "anymal_c", "icub", "hector", "bolt"
 
 
 @pytest.mark.parametrize(
     "name",
-    ["ur5", "iris", *(pytest.param(n, marks=pytest.mark.slow) for n in ("panda", "z1", "talos"))]
-    + [pytest.param(n, marks=pytest.mark.exhaustive) for n in ARMS + WITH_FREE_BASES],
+    [
+        "ur5",
+        "iris",
+        "solo12",
+        *(pytest.param(n, marks=pytest.mark.exhaustive) for n in ARMS + WITH_FREE_BASES),
+    ],
 )
 def test_no_mesh_penetrates_the_table(name: str) -> None:
     """Pinocchio computes the distances between the meshes and the plate that the replay shows."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # mimic joints
-        shown = run_demo(name)
+    shown = demo_of(name)
     model, q, shapes = shown.robot.model, shown.impact.q, shown.robot.visual_model.copy()
     page = pinimpact.replay(shown.robot, shown.trajectory, None).html
     motion = json.loads(re.search(r'<script id="motion" type="application/json">(.*?)</script>', page)[1])
@@ -231,14 +242,15 @@ def test_object_without_joints_falls(own: bool, tmp_path: Path) -> None:
 
 def test_messages_for_impossible_demos(tmp_path: Path) -> None:
     assert call("info", written(tmp_path, FIXED)).exit_code == 0
+    up = "0", "0", "1"
     for options, said in (
         (("two_link_arm", "--normal", "0", "1", "0"), "cannot move towards a table with this normal"),
-        (("panda", "--normal", "0", "0", "1", "--direction", "0", "0", "1"), "points away from the table"),
-        (("panda", "--frame", "panda_hand_tpc"), "did you mean"),
-        (("panda", "--frame", "panda_link0"), "no joint of panda moves frame 'panda_link0'"),
-        (("panda", "--law", "newtonian"), "newton"),
-        (("panda", "--friction", "-0.1"), "friction: -0.1"),
-        (("panda", "--speed", "0"), "speed: 0.0"),
+        (("two_link_arm", "--normal", *up, "--direction", *up), "points away from the table"),
+        (("two_link_arm", "--frame", "tpi"), "did you mean"),
+        (("two_link_arm", "--frame", "world"), "no joint of two_link_arm moves frame 'world'"),
+        (("two_link_arm", "--law", "newtonian"), "newton"),
+        (("two_link_arm", "--friction", "-0.1"), "friction: -0.1"),
+        (("two_link_arm", "--speed", "0"), "speed: 0.0"),
     ):
         result = call("demo", *options, "-o", str(tmp_path / "out"))
         assert result.exit_code == 1, result.output
@@ -288,13 +300,11 @@ def robots() -> list[object]:
 @pytest.mark.parametrize("name", robots())
 def test_every_named_robot_has_consistent_impact_and_motion(name: str) -> None:
     """The work of the impact equals the change of kinetic energy; in the motion the energy balances."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # mimic joints, and meshes that a distribution lacks
-        if name == "cassie":  # an SDF file, which wheels of Pinocchio do not read
-            with pytest.raises(pinimpact.ModelError, match="SDF"):
-                run_demo(name)
-            return
-        shown = run_demo(name)
+    if name == "cassie":  # an SDF file, which wheels of Pinocchio do not read
+        with pytest.raises(pinimpact.ModelError, match="SDF"):
+            demo_of(name)
+        return
+    shown = demo_of(name)
     impact, model = shown.impact, shown.robot.model
     data = model.createData()
     change = pin.computeKineticEnergy(model, data, impact.q, impact.v_after)
@@ -315,7 +325,7 @@ def test_every_named_robot_has_consistent_impact_and_motion(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["iris", pytest.param("ur5", marks=pytest.mark.slow)])
 def test_demo_ends_before_parts_without_contact_penetrate(name: str) -> None:
-    shown = run_demo(name)
+    shown = demo_of(name)
     model, shapes, plane = shown.robot.model, shown.robot.visual_model, shown.contact.plane
     data, heights = model.createData(), []
     for q in shown.trajectory.q:

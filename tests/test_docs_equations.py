@@ -204,28 +204,44 @@ def test_files_of_style_sheets_are_in_the_site(site: Path) -> None:
     assert all((sheet.parent / font).is_file() for font in fonts)
 
 
+ARTICLE = re.compile(r"(<article[^>]*>)(.*?)(</article>)", re.DOTALL)
+
+
+def theory_with(site: Path, content: str) -> str:
+    """Return the theory page with other content."""
+    text = (site / "theory" / "index.html").read_text(encoding="utf-8")
+    assert len(ARTICLE.findall(text)) == 1
+    return ARTICLE.sub(lambda found: found[1] + content + found[3], text)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
 def test_formulas_are_typeset(site: Path, tmp_path: Path) -> None:
-    with_formulas = {
-        path: count
-        for path in site.rglob("*.html")
-        if (count := Loaded(path.read_text(encoding="utf-8")).formulas)
-    }
-    assert site / "theory" / "index.html" in with_formulas
-    for path, count in with_formulas.items():
-        dom = rendered(path, tmp_path)
-        assert "katex-error" not in dom, re.findall(r'katex-error" title="([^"]+)"', dom)
-        assert dom.count('<annotation encoding="application/x-tex">') == count, path
+    """All pages with formulas are rendered as one, since each start of a browser takes seconds."""
+    contents, count = [], 0
+    for path in site.rglob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        if formulas := Loaded(text).formulas:
+            assert re.search(r'<script src="[./]*katex/render.js"', text), path
+            (article,) = ARTICLE.findall(text)
+            assert Loaded(article[1]).formulas == formulas, path
+            contents.append(article[1])
+            count += formulas
+    assert len(contents) > 2
+    page = site / "theory" / "all.html"
+    page.write_text(theory_with(site, "".join(contents)), encoding="utf-8")
+    dom = rendered(page, tmp_path)
+    page.unlink()
+    assert "katex-error" not in dom, re.findall(r'katex-error" title="([^"]+)"', dom)
+    assert dom.count('<annotation encoding="application/x-tex">') == count
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
 def test_error_in_a_formula_is_detected(site: Path, tmp_path: Path) -> None:
     page = site / "theory" / "broken.html"
-    text = (site / "theory" / "index.html").read_text(encoding="utf-8")
-    wrong = '<span class="arithmatex">\\(\\nosuchcommand{1}\\)</span></article>'
-    page.write_text(text.replace("</article>", wrong), encoding="utf-8")
+    wrong = '<span class="arithmatex">\\(\\nosuchcommand{1}\\)</span>'
+    page.write_text(theory_with(site, wrong), encoding="utf-8")
     assert rendered(page, tmp_path).count('katex-error" title=') == 1
     page.unlink()
 
@@ -250,11 +266,11 @@ window.addEventListener("load", () => {
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
 def test_formulas_do_not_overlap_their_numbers(site: Path, tmp_path: Path) -> None:
-    wide = r"<div class='arithmatex'>\[" + "x+" * 80 + r"x \tag{0}\]</div></article>"
-    text = (site / "theory" / "index.html").read_text(encoding="utf-8").replace("</body>", OVERLAPS)
-    for page, too_wide in ((text, 0), (text.replace("</article>", wide), 1)):
+    wide = r"<div class='arithmatex'>\[" + "x+" * 80 + r"x \tag{0}\]</div>"
+    text = (site / "theory" / "index.html").read_text(encoding="utf-8")
+    for page, too_wide in ((text, 0), (theory_with(site, wide), 1)):
         path = site / "theory" / "measured.html"
-        path.write_text(page, encoding="utf-8")
+        path.write_text(page.replace("</body>", OVERLAPS), encoding="utf-8")
         found = re.search(r'<pre id="overlaps">(.*?)</pre>', rendered(path, tmp_path), re.DOTALL)
         path.unlink()
         assert found is not None

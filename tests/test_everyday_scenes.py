@@ -19,6 +19,7 @@ from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import box
 from pinimpact.scene import instant, scene_impacts
 
+from .drawing import one_of_each
 from .scene_models import UP, G, unbounded
 from .test_time_stepping import boxes
 
@@ -93,8 +94,7 @@ def lowest(q, size):
     return (corners @ pin.XYZQUATToSE3(q).rotation.T + q[:3])[:, 2].min()
 
 
-@pytest.mark.parametrize("scene", [stairs, edge, peg, walls])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("scene", "seed"), one_of_each([stairs, edge, peg, walls], [0, 1, 2]))
 def test_box_among_solids_satisfies_energy_balance(scene, seed):
     built, q0, v0, duration = scene(np.random.default_rng(seed))
     with warnings.catch_warnings():
@@ -174,8 +174,7 @@ def test_cube_is_handed_over(scheme):
 
 
 @pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
-@pytest.mark.parametrize("numbering", [1, -1])
-@pytest.mark.parametrize("part", [0.4, 0.6, 0.8, 1.0, 1.2])
+@pytest.mark.parametrize(("part", "numbering"), one_of_each([0.4, 0.6, 0.8, 1.0, 1.2], [1, -1]))
 def test_squeezed_cube_falls_without_rotation(part, numbering, scheme):
     """The squeezing force at eight corners is not unique, but must be mirror symmetric like the scene."""
     squeeze, t = part * 0.1 * G / (2.0 * 0.6), 0.1

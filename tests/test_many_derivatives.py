@@ -279,7 +279,9 @@ def test_one_sided_derivatives_of_balls_at_rest(side, ball):
     assert np.array_equal(d.dv_dv[:, :2], both.dv_dv[:, :2])
 
 
-@pytest.mark.parametrize("seed", [*range(28), pytest.param(28, marks=pytest.mark.exhaustive), 29])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=() if seed % 3 == 0 else pytest.mark.exhaustive) for seed in range(30)]
+)
 def test_finite_derivatives_are_correct_on_both_sides(seed):
     # with balls at rest, ties and symmetries
     rng = np.random.default_rng([8, seed])

@@ -27,10 +27,10 @@ def test_fit_of_simulated_tosses(motions) -> None:
     scene = box_scene(0.5, 0.1)
     free = {"friction": (0.05, 0.6), "restitution": (0.0, 0.8)}
     with ThreadPoolExecutor(1) as pool:
-        fit = studies.identify(scene=scene, free=free, trajectories=motions, executor=pool)
+        fit = studies.identify(scene=scene, free=free, trajectories=motions[:3], executor=pool)
     assert fit.x == pytest.approx([0.25, 0.4], abs=5e-3)
     assert fit.apply(scene).contacts[3].friction == fit.x[0]
-    assert fit.groups == len(motions)
+    assert fit.groups == 3
 
 
 @pytest.mark.slow

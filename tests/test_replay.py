@@ -10,6 +10,7 @@ import re
 import shutil
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import coal
@@ -68,14 +69,53 @@ def commands_of(shown) -> list[dict]:
 
 def open_in_browser(shown, fragment: str) -> tuple[dict[str, str], list[str]]:
     """Open a page, check that it has no errors, and return its data attributes and rows of its overlay."""
-    opened = open_page(BROWSER, shown, fragment)
-    data = dict(re.findall(r'data-([a-z]+)="([^"]*)"', opened.dom.split(">", 2)[1] + ">"))
+    return content_of(*open_page(BROWSER, shown, fragment))
+
+
+def content_of(dom: str, console: list[str]) -> tuple[dict[str, str], list[str]]:
+    """Check that an opened page has no errors, and return its data attributes and rows of its overlay."""
+    data = dict(re.findall(r'data-([a-z]+)="([^"]*)"', dom.split(">", 2)[1] + ">"))
     assert data["errors"] == "[]"
     assert data["ready"] == "yes"
-    assert not [row for row in opened.console if re.search(r"uncaught|error|fail", row, re.IGNORECASE)]
-    (overlay,) = re.findall(r'<div id="overlay".*?>(.*?)</div></div>', opened.dom, re.DOTALL)
+    assert not [row for row in console if re.search(r"uncaught|error|fail", row, re.IGNORECASE)]
+    (overlay,) = re.findall(r'<div id="overlay".*?>(.*?)</div></div>', dom, re.DOTALL)
     rows = re.findall(r"<div[^>]*>([^<]*)(?:</div>|$)", overlay)
     return data, [html.unescape(row) for row in rows]
+
+
+TELLS = """<script>setInterval(() => {
+  parent.postMessage([%d, "<!doctype html>" + document.documentElement.outerHTML], "*"); }, 500);
+</script></body>"""
+LISTENS = """<script>addEventListener("message", (told) => {
+  document.getElementById(told.data[0]).textContent = told.data[1]; });</script>"""
+
+
+def opened_together(shown, folder: Path, sizes) -> tuple[list[str], list[str]]:
+    """Return the documents of pages at their fragments, in windows of these sizes, and the console.
+
+    They are frames of one page, since each start of the browser takes seconds.
+    """
+    sheet = f"<!doctype html>{LISTENS}"
+    for k, ((page, at), (wide, tall)) in enumerate(zip(shown, sizes, strict=True)):
+        path = folder / f"frame{k}.html"
+        path.write_text(page.html.replace("</body>", TELLS % k), encoding="utf-8")
+        sheet += (
+            f'<pre id="{k}"></pre><iframe src="{path.as_uri()}#{at}" width="{wide}" height="{tall}"></iframe>'
+        )
+    (folder / "sheet.html").write_text(sheet, encoding="utf-8")
+    dom, console = open_page(BROWSER, folder / "sheet.html", size=(1200, 1000))
+    return [html.unescape(text) for text in re.findall(r'<pre id="\d">(.*?)</pre>', dom, re.DOTALL)], console
+
+
+def pictures_of(shown: list[tuple[object, str]], folder: Path, size: tuple[int, int]) -> list[np.ndarray]:
+    """Return pictures of pages at their fragments, made by one start of the browser."""
+    frames = "".join(f'<iframe src="{Path(page).absolute().as_uri()}#{at}"></iframe>' for page, at in shown)
+    box = f"display: block; border: 0; width: {size[0]}px; height: {size[1]}px"
+    style = f"body {{ margin: 0 }} iframe {{ {box} }}"
+    sheet, picture = folder / "sheet.html", folder / "sheet.png"
+    sheet.write_text(f"<!doctype html><style>{style}</style>{frames}", encoding="utf-8")
+    open_page(BROWSER, sheet, size=(size[0], len(shown) * size[1]), screenshot=picture)
+    return np.split(imread(picture), len(shown))
 
 
 def test_page_loads_no_other_files(page) -> None:
@@ -410,11 +450,9 @@ def test_shapes_are_highlighted_during_contact(dropped, tmp_path: Path) -> None:
 def test_highlighted_shapes_in_browser(dropped, tmp_path: Path) -> None:
     robot, trajectory = dropped
     shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html", slowdown=1.0)
-    seen = []
-    for time in (0.05, trajectory.impacts[0].time + 1e-4):
-        picture = tmp_path / "picture.png"
-        open_page(BROWSER, shown.path, f"t={time}", size=(480, 360), screenshot=picture)
-        seen.append(np.count_nonzero(is_yellow(imread(picture))))
+    times = (0.05, trajectory.impacts[0].time + 1e-4)
+    pictures = pictures_of([(shown.path, f"t={time}") for time in times], tmp_path, (480, 360))
+    seen = [np.count_nonzero(is_yellow(picture)) for picture in pictures]
     assert seen[1] > seen[0] + 300
 
 
@@ -446,17 +484,20 @@ def film_length(motion: dict) -> float:
 
 
 @needs_browser
-def test_browser_plays_motion_to_its_end(fall, page) -> None:
+def test_browser_plays_motion_to_its_end(fall, page, tmp_path: Path) -> None:
     _, trajectory = fall
     motion = motion_of(page)
     first = trajectory.impacts[0]
-    data, rows = open_in_browser(page, f"t={0.5 * first.time}")
+    places = f"t={0.5 * first.time}", "impact=1", "t=0.6"
+    doms, console = opened_together([(page, at) for at in places], tmp_path, [(960, 540)] * 3)
+    before, at_impact, at_end = (content_of(dom, console) for dom in doms)
+    data, rows = before
     assert float(data["duration"]) == pytest.approx(film_length(motion), rel=2e-3)
     assert int(data["tracks"]) == len(motion["joints"])
     assert int(data["frames"]) == len(numbers(motion["times"], "<f8"))
     assert rows == [f"t = {0.5 * first.time:.4f} s", "free"]
 
-    _, rows = open_in_browser(page, "impact=1")
+    _, rows = at_impact
     segment = first.solution.segments[-1]
     number = f"impact 1 of {len(trajectory.impacts)}"
     assert rows[:2] == [f"t = {first.time:.4f} s", f"tip: {segment.mode} in {segment.phase}"]
@@ -469,7 +510,7 @@ def test_browser_plays_motion_to_its_end(fall, page) -> None:
     lost = float(re.fullmatch(r"energy lost (\S+) J", rows[5])[1])
     assert lost == pytest.approx(-first.solution.work.total, rel=5e-3)
 
-    data, rows = open_in_browser(page, "t=0.6")
+    data, rows = at_end
     assert float(data["time"]) == pytest.approx(0.6, abs=1e-9)
     assert rows[0] == "t = 0.6000 s"
     mode = trajectory.mode_at("tip", 0.6)
@@ -486,15 +527,10 @@ def colored(pixels: np.ndarray, color: str) -> int:
 
 @needs_browser
 def test_browser_shows_robot_surface_and_impact(page, tmp_path: Path) -> None:
-    def pixels(fragment: str) -> np.ndarray:
-        picture = tmp_path / "page.png"
-        open_page(BROWSER, page, fragment, size=(800, 500), screenshot=picture)
-        view = imread(picture)[50:450, 250:, :3].copy()
+    pictures = pictures_of([(page, "t=0.05"), (page, "impact=1")], tmp_path, (800, 500))
+    before, at = views = [picture[50:450, 250:, :3].copy() for picture in pictures]
+    for view in views:
         view[:220, 280:] = 1.0  # the hodograph may cover this part
-        return view
-
-    before, at = pixels("t=0.05"), pixels("impact=1")
-    for view in (before, at):
         assert view.std() > 0.05
         assert ((view[..., 2] > view[..., 0] + 0.2) & (view[..., 2] > 0.3)).sum() > 100  # the rod is blue
         assert (view[..., 0] > view[..., 2] + 0.15).sum() > 1000  # the floor is brown
@@ -510,10 +546,9 @@ def test_robot_fills_window_beside_panels(page, tmp_path: Path) -> None:
     bare = tmp_path / "bare.html"
     bare.write_text(page.html.replace(".panel {", ".panel { visibility: hidden;"), encoding="utf-8")
     seen = np.zeros((tall, wide), dtype=bool)
-    for time in (0.0, 0.2, 0.4, 0.6):
-        picture = tmp_path / "page.png"
-        open_page(BROWSER, bare, f"t={time}", size=(wide, tall), screenshot=picture)
-        red, _, blue = np.moveaxis(imread(picture)[..., :3], -1, 0)
+    shown = [(bare, f"t={time}") for time in (0.0, 0.2, 0.4, 0.6)]
+    for picture in pictures_of(shown, tmp_path, (wide, tall)):
+        red, _, blue = np.moveaxis(picture[..., :3], -1, 0)
         seen |= (blue > red + 0.2) & (blue > 0.3) & (blue < 0.75)  # the rod
     rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     left = int(0.27 * wide)
@@ -523,18 +558,18 @@ def test_robot_fills_window_beside_panels(page, tmp_path: Path) -> None:
 
 
 @needs_browser
-@pytest.mark.parametrize("tall", [340, 460, 900])
-def test_text_of_impact_is_not_cut_off_in_any_window(page, tmp_path: Path, tall: int) -> None:
+def test_text_of_impact_is_not_cut_off_in_any_window(page, tmp_path: Path) -> None:
     probe = """<script>setInterval(() => {
       const words = document.getElementById("overlay");
       document.body.dataset.cut = words.scrollHeight > words.clientHeight + 1;
       document.body.dataset.inset = !document.getElementById("hodograph").hidden;
     }, 100);</script></body>"""
-    probed = tmp_path / "probed.html"
-    probed.write_text(page.html.replace("</body>", probe), encoding="utf-8")
-    dom = open_page(BROWSER, probed, "impact=1", size=(800, tall)).dom
-    assert 'data-cut="false"' in dom
-    assert f'data-inset="{str(tall == 900).lower()}"' in dom or tall == 460
+    probed = SimpleNamespace(html=page.html.replace("</body>", probe))
+    heights = 340, 460, 900
+    doms, _ = opened_together([(probed, "impact=1")] * 3, tmp_path, [(800, tall) for tall in heights])
+    for tall, dom in zip(heights, doms, strict=True):
+        assert 'data-cut="false"' in dom
+        assert f'data-inset="{str(tall == 900).lower()}"' in dom or tall == 460
 
 
 def test_grid_at_lowest_point() -> None:
@@ -583,9 +618,10 @@ def test_browser_shows_single_impact(fall, tmp_path: Path) -> None:
     robot, trajectory = fall
     record = trajectory.impacts[0]
     hit = pinimpact.impact(robot.model, robot.data, record.q, record.v_before, trajectory.contacts[0])
-    for shown in (pinimpact.replay(robot, hit, None, q=record.q), pinimpact.replay(hit, path=None)):
-        shown.save(tmp_path / "hit.html")
-        data, rows = open_in_browser(shown, "film=4")
+    pages = [pinimpact.replay(robot, hit, None, q=record.q), pinimpact.replay(hit, path=None)]
+    doms, console = opened_together([(shown, "film=4") for shown in pages], tmp_path, [(960, 540)] * 2)
+    for dom in doms:
+        data, rows = content_of(dom, console)
         assert float(data["duration"]) == 8.0
         middle = 0.5 * hit.solution.impulse[2]
         (segment,) = [s for s in hit.solution.segments if s.start <= middle < s.end]

@@ -30,6 +30,7 @@ from pinimpact.scene.hybrid_state import HybridState
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 
+from .drawing import one_of_each
 from .scene_models import UP, G, ball, pendulum, shaped_body, slider
 
 FLOOR = Plane()
@@ -228,13 +229,15 @@ def below(t, q, v):
     return q[2] - 0.15
 
 
-@pytest.mark.parametrize("kind", COPIES)
 @pytest.mark.parametrize(
-    ("steps", "scheme"),
-    [(0, "auto"), (12, "auto"), (60, "auto"), (12, "time-stepping"), (60, "time-stepping")],
+    ("when", "kind"),
+    one_of_each(
+        [(0, "auto"), (12, "auto"), (60, "auto"), (12, "time-stepping"), (60, "time-stepping")], list(COPIES)
+    ),
 )
-def test_copies_include_shape_pairs_events_and_modes(kind, steps, scheme):
+def test_copies_include_shape_pairs_events_and_modes(when, kind):
     """A box that tumbles onto a table is copied at the start, in flight, and in contact."""
+    steps, scheme = when
     model, shapes = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), pin.SE3.Identity())
@@ -292,8 +295,7 @@ def test_state_object_determines_the_continuation(steps):
     assert not same(one._integrator.value(), before)
 
 
-@pytest.mark.parametrize("kind", COPIES)
-@pytest.mark.parametrize("steps", [14, 16, 40])
+@pytest.mark.parametrize(("kind", "steps"), one_of_each(list(COPIES), [14, 16, 40]))
 def test_copies_continue_during_time_stepping_intervals(kind, steps):
     """A crate lands with a corner on a corner, where the normal is undetermined."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")

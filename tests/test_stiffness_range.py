@@ -19,7 +19,9 @@ def cradle(balls, stiffness=1.0):
     return ImpactProblem(w, velocity, 0.0, 1.0, "energetic", stiffness=stiffness)
 
 
-@pytest.mark.parametrize("balls", [3, 4, pytest.param(9, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize(
+    "balls", [3, *(pytest.param(count, marks=pytest.mark.exhaustive) for count in (4, 9))]
+)
 def test_wide_range_reaches_the_limits_of_sequences(balls):
     """If stiffnesses decrease along the row, impacts happen in sequence and only the last ball moves."""
     low, high = solve_impact(cradle(balls)).range(stiffness=(1e-4, 1e4), draws=40)

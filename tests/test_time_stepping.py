@@ -20,6 +20,7 @@ from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
 from pinimpact.scene._kernels.step_impulses import step_impulses
 
+from .drawing import one_of_each
 from .random_scenes import relative_energy_residual
 from .scene_models import UP, G, ball, box_on, free_body, hull_mesh, pendulum, slider, unbounded
 
@@ -126,8 +127,7 @@ def test_driven_damped_joint_agrees_with_event_driven_scheme():
     assert errors[1] < 0.7 * errors[0]
 
 
-@pytest.mark.parametrize("damping", [500.0, 5000.0, 50000.0])
-@pytest.mark.parametrize("load", [0.0, 3.0])
+@pytest.mark.parametrize(("damping", "load"), one_of_each([500.0, 5000.0, 50000.0], [0.0, 3.0]))
 def test_stiff_damping_by_a_function_is_stable(damping, load):
     """Steps of 1 ms are unstable above 2000 N s/m, beside a second mass that is not damped."""
     model, joint = pin.Model(), 0
@@ -319,10 +319,12 @@ def test_tip_of_fast_spinning_body_rebounds_elastically(height):
     assert energies[1] == pytest.approx(energies[0], abs=1e-3)
 
 
-@pytest.mark.parametrize("speed", [3.0, 30.0, 100.0])
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 @pytest.mark.parametrize(
-    "solid", [coal.Sphere(0.005), coal.Box(0.01, 0.01, 0.01), coal.Capsule(0.004, 0.01), None]
+    ("solid", "speed"),
+    one_of_each(
+        [coal.Sphere(0.005), coal.Box(0.01, 0.01, 0.01), coal.Capsule(0.004, 0.01), None], [3.0, 30.0, 100.0]
+    ),
 )
 def test_no_tunnelling_through_obstacles_thinner_than_a_step(solid, restitution, speed):
     """The obstacle is a plate of 2 mm or a ball of 1 cm; bodies move up to 10 cm in a step of 1 ms."""
