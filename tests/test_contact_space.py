@@ -127,7 +127,7 @@ MAPS = {
 
 @pytest.mark.parametrize("name", MAPS)
 @given(problem=problems())
-@examples(60)
+@examples(30)
 def test_the_same_answer_in_mapped_axes_bit_for_bit(name, problem):
     T = MAPS[name]
     mapped = ImpactProblem(

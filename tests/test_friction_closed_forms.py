@@ -50,7 +50,7 @@ def test_dry_friction_holds_between_two_crossings_and_lets_go_gently(part, b, la
     assert trajectory.v[-1, 0] == pytest.approx(-0.5 * k * 25.0, rel=1e2 * rtol)
 
 
-@examples(100)
+@examples(40)
 @given(st.floats(0.1, 2.0), powers(-0.5, 1.3), st.floats(0.0, 6.28), st.floats(-0.45, 0.45))
 def test_a_joint_with_dry_friction_under_a_swinging_force(amplitude, pace, phase, mean):
     load = Swing(amplitude, pace, phase, mean)
@@ -62,7 +62,7 @@ def test_a_joint_with_dry_friction_under_a_swinging_force(amplitude, pace, phase
     assert np.diff(trajectory.energy.joints).max() <= 1e-12
 
 
-@examples(40)
+@examples(20)
 @given(
     st.sampled_from([3, 4, 8, 16]),
     st.floats(0.0, 6.28),
@@ -164,7 +164,7 @@ def test_a_braked_wheel_rolls_or_locks_and_slides_to_its_rest(mu, excess, speed,
     assert np.abs(trajectory.v[-1]).max() == pytest.approx(0.0, abs=1e-12)
 
 
-@examples(20)
+@examples(10)
 @given(st.floats(0.1, 1.0), powers(0, 2), st.floats(0.05, 1.0), st.sampled_from([1e-6, 1e-8, 1e-10]))
 def test_a_mass_on_a_spring_and_a_belt_swings_so_that_it_just_reaches_the_speed_of_the_belt(
     mu, stiffness, speed, rtol

@@ -77,10 +77,9 @@ print(json.dumps([answers, made]))
 """
 
 
-@pytest.fixture
-def package(tmp_path: Path) -> Path:
-    """Return a package, also named pinimpact, with the decorators and three small modules of kernels."""
-    root = tmp_path / "pinimpact"
+def write_package(folder: Path) -> Path:
+    """Write a package, also named pinimpact, with the decorators and three small modules of kernels."""
+    root = folder / "pinimpact"
     shutil.copytree(SOURCE, root / "_compile", ignore=shutil.ignore_patterns("__pycache__"))
     kernels = root / "scene" / "_kernels"
     kernels.mkdir(parents=True)
@@ -89,6 +88,33 @@ def package(tmp_path: Path) -> Path:
     for folder in (root, root / "scene", kernels):
         (folder / "__init__.py").write_text("")
     return root
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    return write_package(tmp_path)
+
+
+class FirstRun(NamedTuple):
+    folder: Path  # of a package
+    kept: Path  # copy of the folder after the first run, which has compiled the kernels
+    done: subprocess.CompletedProcess[str]
+
+
+@pytest.fixture(scope="module")
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> FirstRun:
+    folder, kept = tmp_path_factory.mktemp("here"), tmp_path_factory.mktemp("kept") / "copy"
+    done = python(write_package(folder))
+    shutil.copytree(folder, kept)
+    return FirstRun(folder, kept, done)
+
+
+@pytest.fixture
+def compiled(first_run: FirstRun) -> Path:
+    """Return a package whose kernels are cached, always in the same folder, as the cache refers to it."""
+    shutil.rmtree(first_run.folder)
+    shutil.copytree(first_run.kept, first_run.folder)
+    return first_run.folder / "pinimpact"
 
 
 def python(package: Path, code: str = CALL, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -118,9 +144,11 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(path.read_text().replace(old, new))
 
 
-def test_only_edited_code_and_its_callers_are_recompiled(package: Path) -> None:
+def test_only_edited_code_and_its_callers_are_recompiled(compiled: Path, first_run: FirstRun) -> None:
+    package = compiled
     leaf, entry = (package / "scene" / "_kernels" / name for name in ("leaf.py", "entry.py"))
-    assert call(package) == ([7.0, 130.0, -3.0], ["first", "shifted", "scaled", "second", "third"])
+    found = json.loads(first_run.done.stdout)
+    assert found == [[7.0, 130.0, -3.0], ["first", "shifted", "scaled", "second", "third"]]
     # edits of comments, docstrings and layout, in callers and callees
     edit(
         leaf, "FACTOR = 2.0\n", '"""Docstring."""\n\nFACTOR = 2.0  # twice\n"""What a kernel doubles by."""\n'
@@ -136,8 +164,8 @@ def test_only_edited_code_and_its_callers_are_recompiled(package: Path) -> None:
     assert call(package) == ([10.0, 280.0, -3.0], [])
 
 
-def test_callee_missing_in_cache_is_compiled_before_its_caller_is_loaded(package: Path) -> None:
-    call(package)
+def test_callee_missing_in_cache_is_compiled_before_its_caller_is_loaded(compiled: Path) -> None:
+    package = compiled
     for file in (package.parent / "cache").rglob("leaf.*"):
         file.unlink()
     assert call(package) == ([7.0, 130.0, -3.0], ["shifted", "scaled"])
@@ -526,8 +554,9 @@ def test_arrays_are_borrowed_for_the_duration_of_a_call() -> None:
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 16
 
 
-def test_message_while_compiling_appears_once(package: Path) -> None:
-    assert python(package).stderr == ""  # compilation is too short for a message
+def test_message_while_compiling_appears_once(compiled: Path, first_run: FirstRun) -> None:
+    package = compiled
+    assert first_run.done.stderr == ""  # compilation is too short for a message
     shutil.rmtree(package.parent / "cache")
     edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
     message = python(package).stderr
@@ -555,8 +584,8 @@ def test_message_without_writable_cache_folder(package: Path) -> None:
     assert "NUMBA_CACHE_DIR" in answer.stderr
 
 
-def test_damaged_cache_is_filled_again(package: Path) -> None:
-    assert call(package)[0] == [7.0, 130.0, -3.0]
+def test_damaged_cache_is_filled_again(compiled: Path) -> None:
+    package = compiled
     for index in (package.parent / "cache").rglob("*.nbi"):
         index.write_bytes(index.read_bytes()[:-20])
     answers, made = call(package)

@@ -176,7 +176,7 @@ def problems(draw):
 
 
 @pytest.mark.parametrize("method", list(STEPPING))
-@examples(200)
+@examples(100)
 @given(problem=problems())
 def test_every_stepped_impact_obeys_mechanics(method, problem):
     try:

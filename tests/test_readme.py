@@ -43,18 +43,30 @@ def test_first_lines_name_purpose_users_and_installation() -> None:
     assert len(blocks("python")[0].splitlines()) <= 11
 
 
-def test_example_starts_in_contact(tmp_path: Path) -> None:
-    names = pages.run_page(ROOT / "README.md", tmp_path)
+def run_python(page: Path, folder: Path) -> dict[str, object]:
+    """Run the Python code of a page, without its commands, in a folder and return the global names."""
+    copy = folder / "page.md"
+    text = page.read_text(encoding="utf-8")
+    copy.write_text(re.sub(r"^```sh\n.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL), encoding="utf-8")
+    return pages.run_page(copy, folder)
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """Return the names of the example."""
+    return run_python(ROOT / "README.md", tmp_path_factory.mktemp("readme"))
+
+
+def test_example_starts_in_contact(example: dict[str, object]) -> None:
+    names = example
     robot: Any = names["robot"]
     hand: Any = names["hand"]
     assert abs(hand.gap(robot.model, robot.data, names["q"])) < 1e-11
 
 
 @pytest.mark.slow
-def test_picture_shows_the_impact_of_the_example(tmp_path: Path) -> None:
-    (tmp_path / "home").mkdir()
-    shown, said = pages.run_page(ROOT / "README.md", tmp_path), pages.run_page(HOME, tmp_path / "home")
-    hits: list[Any] = [shown["hit"], said["hit"]]
+def test_picture_shows_the_impact_of_the_example(example: dict[str, object], tmp_path: Path) -> None:
+    hits: list[Any] = [example["hit"], run_python(HOME, tmp_path)["hit"]]
     assert hits[0].impulse_world.tolist() == hits[1].impulse_world.tolist()
     assert pages.pictures_of(HOME) == ["index-impact.png"]
     assert f"{RAW}docs/figures/pages/index-impact.png" in README
