@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import shutil
 import subprocess
@@ -55,6 +56,7 @@ def numbers_of(text: str) -> set[str]:
     return {number for number in found if 1 <= int(number.split(".")[0]) <= SECTIONS}
 
 
+@functools.cache
 def prose_of(path: Path) -> str:
     """Return the docstrings and comments of a module, or a page without its blocks of code."""
     text = path.read_text(encoding="utf-8")

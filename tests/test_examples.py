@@ -366,11 +366,11 @@ def test_frequencies_of_fair_and_loaded_die(tmp_path, monkeypatch, capsys) -> No
     dice.main(6)
     assert capsys.readouterr().out.count("100% of the tosses ended") == 2
     assert (tmp_path / "die.png").is_file()
-    fair = dice.toss(dice.die(), 90, seed=1)
+    fair = dice.toss(dice.die(), 60, seed=1)
     counts = np.array([(fair.columns["top"] == face).sum() for face in dice.FACES])
-    assert counts.sum() == 90
+    assert counts.sum() == 60
     assert stats.chisquare(counts).pvalue > 1e-3
     assert all(share.low < 1 / 6 < share.high for share in fair.frequencies("top", 0.9999).values())
     np.testing.assert_allclose(fair.columns["height"], dice.HALF, rtol=1e-6)
-    loaded = dice.toss(dice.die((0.0, 0.0, -0.5 * dice.HALF)), 30, seed=1)
+    loaded = dice.toss(dice.die((0.0, 0.0, -0.5 * dice.HALF)), 20, seed=1)
     assert loaded.frequencies("top")["+z"].low > 1 / 6
