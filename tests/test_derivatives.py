@@ -416,8 +416,7 @@ SIDES = {
 }
 
 
-@pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("kind", SIDES)
+@pytest.mark.parametrize(("kind", "side"), one_of_each(list(SIDES), [1, -1]))
 def test_one_sided_derivatives(kind, side):
     W, v, mu, power, along = SIDES[kind]
     problem = ImpactProblem(W, v, mu, 0.5)

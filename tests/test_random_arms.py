@@ -25,6 +25,7 @@ from pinimpact import (
 from pinimpact.robot.matrices import contact_geometry
 
 from . import many_arms, random_arms, random_impacts
+from .drawing import one_of_each
 from .random_arms import Case, Report, check, run, solve
 from .reference.arms import Arm, _axes, _rotation
 from .reference.reference import solve_reference
@@ -137,8 +138,7 @@ def test_velocity_small_by_cancellation_has_a_solution():
     assert np.abs(solution.impulse).max() < 1e-4
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("scale", [True, False])
+@pytest.mark.parametrize(("law", "scale"), one_of_each(list(LAWS), [True, False]))
 def test_impulses_for_velocities_in_range_of_rank_one(scale, law):
     """v = W r has rounding errors, and may be small by cancellation; impulses are no quotients of errors."""
     rng = np.random.default_rng(3)
