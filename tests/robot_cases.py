@@ -30,6 +30,11 @@ def load(name):
     return model, model.createData()
 
 
+def q0_of(name):
+    """Return the initial configuration of a robot."""
+    return _loaded(name).q0.copy()
+
+
 def two_arms() -> tuple[pin.Model, pin.Data]:
     """Return two arms side by side; names of the second begin with "other_"."""
     arm = load("ur5")[0]

@@ -36,7 +36,7 @@ def checked_impact(model, q, v, contact):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_10_energy_of_robots(name, rng):
-    model = pinimpact.load_robot(name).model
+    model = cases.load(name)[0]
     for law in LAWS:
         for _ in range(4):
             q, v = cases.random_state(model, rng)
@@ -49,7 +49,7 @@ def test_10_energy_of_robots(name, rng):
 @pytest.mark.parametrize("name", ["solo12", "talos"])
 def test_10_the_placement_of_the_base_does_not_matter(name, rng):
     """Moving robot and plane together changes neither joint velocities nor the base velocity in base axes."""
-    model = pinimpact.load_robot(name).model
+    model = cases.load(name)[0]
     q, v = cases.random_state(model, rng)
     plane = cases.random_plane(rng)
     contact = cases.random_contact(ROBOTS[name], rng, plane)
@@ -198,7 +198,7 @@ def test_8_arms_stretched_out(name, rng):
 
 def test_8_a_frame_on_the_base():
     """W = 0: a fixed frame has no impact, and the approach of a moving surface is unstoppable."""
-    model = pinimpact.load_robot("panda").model
+    model = cases.load("panda")[0]
     v = np.ones(model.nv)
     still = pinimpact.Contact("panda_link0", pinimpact.Plane(), friction=0.3, restitution=0.5)
     hit = pinimpact.impact(model, model.createData(), pin.neutral(model), v, still)

@@ -18,6 +18,7 @@ from pinimpact.scene.options import Options
 
 from .drawing import one_of_each
 from .random_scenes import draw, relative_energy_residual
+from .robot_cases import load
 from .scene_models import UP, G, free_body, run, unbounded
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
@@ -268,7 +269,7 @@ def test_panda_falling_against_joint_limits_at_loose_tolerances(rtol):
 @pytest.mark.parametrize(("seed", "friction"), one_of_each(range(6), [0.2, 0.8]))
 def test_uncontrolled_solo12_falls_and_slides_without_penetration(seed, friction):
     rng = np.random.default_rng(seed)
-    model = load_robot("solo12").model
+    model, _ = load("solo12")
     feet = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
     q0 = pin.integrate(model, pin.neutral(model), 0.3 * rng.normal(size=model.nv))
     data = model.createData()

@@ -8,6 +8,8 @@ import pytest
 import pinimpact
 from pinimpact import JointLimitWarning
 
+from .robot_cases import load, q0_of
+
 TABLE = pinimpact.Plane(point=(0, 0, 0.5))
 HAND = pinimpact.Contact("panda_hand_tcp", TABLE, friction=0.3, restitution=0.5)
 V = [0.4, 2.0, 0.4, -0.8, 0.25, 1.0, 0, 0, 0]
@@ -15,12 +17,12 @@ V = [0.4, 2.0, 0.4, -0.8, 0.25, 1.0, 0, 0, 0]
 
 @pytest.fixture
 def panda():
-    model = pinimpact.load_robot("panda").model
+    model = load("panda")[0]
     return model, model.createData()
 
 
 def degrees():
-    q = np.degrees(pinimpact.load_robot("panda").q0)
+    q = np.degrees(q0_of("panda"))
     q[-2:] = 0.02
     return q
 
@@ -43,7 +45,7 @@ def test_warning_appears_once_per_data(panda, contact, keep):
 
 
 def test_warning_slightly_beyond_limit_does_not_mention_degrees(panda):
-    q = pinimpact.load_robot("panda").q0.copy()
+    q = q0_of("panda")
     q[7] = 0.0401
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -54,7 +56,7 @@ def test_warning_slightly_beyond_limit_does_not_mention_degrees(panda):
 
 
 def test_warning_counts_rows_beyond_limits(panda):
-    q = np.array([pinimpact.load_robot("panda").q0, degrees(), degrees()])
+    q = np.array([q0_of("panda"), degrees(), degrees()])
     with pytest.warns(JointLimitWarning, match=r"\(row 1; 2 rows in all\)") as warned:
         pinimpact.impacts(*panda, q, V, HAND)
     assert warned[0].filename == __file__
@@ -64,7 +66,7 @@ def test_scenes_without_joint_limits_do_not_warn(panda):
     model, _ = panda
     low = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane(point=(0, 0, 0.4)))
     scene = pinimpact.Scene(model, [low], without=["joint limits"])
-    q = pinimpact.load_robot("panda").q0.copy()
+    q = q0_of("panda")
     q[7] = 0.05
     with warnings.catch_warnings():
         warnings.simplefilter("error")

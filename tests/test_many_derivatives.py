@@ -20,7 +20,7 @@ from pinimpact import (
     solve_impact,
 )
 
-from .robot_cases import load, random_state, two_arms
+from .robot_cases import load, q0_of, random_state, two_arms
 from .scene_models import box_on
 from .test_impact_derivatives import MOVING, Decaying, slope
 from .test_landings import landing_by_steps
@@ -50,7 +50,7 @@ def quadruped(seed):
     """Return solo12 in a random state of falling."""
     model, data = load("solo12")
     rng = np.random.default_rng(seed)
-    q = pin.integrate(model, np.array(pinimpact.load_robot("solo12").q0), 0.2 * rng.normal(size=18))
+    q = pin.integrate(model, q0_of("solo12"), 0.2 * rng.normal(size=18))
     v = rng.normal(size=18)
     v[2] -= 1.0
     return model, data, q, v

@@ -11,7 +11,7 @@ import pytest
 import pinimpact
 from pinimpact import Boundary, Contact, Plane, Scene, Stepper, simulate
 
-from .robot_cases import load
+from .robot_cases import load, q0_of
 from .test_sensitivities import FREE, check_sensitivity, modes
 from .test_step_derivatives import two_boxes
 
@@ -40,9 +40,7 @@ def landing(mu, e, v, dry=0.0):
         Contact("FL_FOOT", Plane(), mu, 0.0, name="first", **common),
         Contact("HR_FOOT", Plane(), 0.5, e, name="second", **common),
     ]
-    q = pin.integrate(
-        model, np.array(pinimpact.load_robot("solo12").q0), np.r_[0, 0, 0, 0.05, 0.04, 0, np.zeros(12)]
-    )
+    q = pin.integrate(model, q0_of("solo12"), np.r_[0, 0, 0, 0.05, 0.04, 0, np.zeros(12)])
     q = np.array(pinimpact.place_in_contact(model, data, q, feet[:1]))
     q[2] += 0.005
     swing = np.random.default_rng(3).normal(size=12)
@@ -74,7 +72,7 @@ def test_joints_with_dry_friction_take_part():
 def test_three_feet(e):
     # rebounds below the resting speed are removed, with their effect on sliding contacts
     model, _ = load("solo12")
-    q = np.array(pinimpact.load_robot("solo12").q0)
+    q = q0_of("solo12")
     q[2] += 0.05
     q = pin.integrate(model, q, np.array([0, 0, 0, 0.15, 0.1, 0.1, *np.zeros(12)]))
     v = np.array([0.5, 0.3, -0.5, *0.3 * np.random.default_rng(3).normal(size=15)])

@@ -72,7 +72,7 @@ def moved(model, rng):
 
 @pytest.mark.parametrize("name", ["panda", "kinova", "solo12", "talos", "double_pendulum"])
 def test_the_arrays_hold_what_documented_calls_give(name, way, rng):
-    model = pinimpact.load_robot(name).model
+    model = cases.load(name)[0]
     robot = bridge.robot_dynamics(model)
     arrays = (robot.placements, robot.velocities, robot.minverse)
     for _ in range(2):

@@ -29,7 +29,7 @@ from pinimpact import (
 from pinimpact.geometry._kernels.constants import KIND
 
 from .drawing import one_of_each
-from .robot_cases import FRAMES, load
+from .robot_cases import FRAMES, load, q0_of
 from .scene_models import unbounded
 from .test_step_derivatives import box, corners
 
@@ -110,7 +110,7 @@ def panda(seed, above=0.05):
     model, data = load("panda")
     rng = np.random.default_rng(seed)
     model.damping, model.armature = rng.uniform(0, 2, 9), rng.uniform(0, 0.3, 9)
-    q, v = np.array(pinimpact.load_robot("panda").q0), 0.5 * rng.normal(size=9)
+    q, v = q0_of("panda"), 0.5 * rng.normal(size=9)
     v[7:], v[3] = 0.0, -1.0
     pin.framesForwardKinematics(model, data, q)
     x, y, z = data.oMf[model.getFrameId(FRAMES["panda"])].translation
@@ -204,9 +204,7 @@ def test_slip_of_zero_speed_has_no_derivative():
 def test_vertically_falling_robot_has_derivative_only_if_it_sticks(scheme, friction, slip):
     # the tangential velocity before the impact is zero up to rounding, or up to the error of steps
     model, _ = load("solo12")
-    q = pin.integrate(
-        model, pinimpact.load_robot("solo12").q0, np.array([0, 0, 0.05, 0.3, 0.2, 0.1] + [0.0] * 12)
-    )
+    q = pin.integrate(model, q0_of("solo12"), np.array([0, 0, 0.05, 0.3, 0.2, 0.1] + [0.0] * 12))
     foot = Contact(FRAMES["solo12"], Plane(), friction, 0.3, radius=0.016, name="foot")
     q[2] += 0.02 - foot.gap(model, model.createData(), q)
     v = slip * np.eye(18)[0]
@@ -518,7 +516,7 @@ def test_block_slips_and_sticks_under_sampled_control(across):
 @pytest.mark.parametrize("period", [None, 1e-3])
 def test_quadruped_lands_and_trots(period):
     model, _ = load("solo12")
-    q = np.array(pinimpact.load_robot("solo12").q0)
+    q = q0_of("solo12")
     q[7:] = np.tile([0.0, 0.7, -1.4], 4)
     names = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
     feet = [Contact(name, Plane(), 0.7, radius=0.016, name=name) for name in names]
@@ -590,7 +588,7 @@ def test_one_foot_of_quadruped(seed, friction, restitution):
     # a free-flying body with a spherical foot
     model, _ = load("solo12")
     rng = np.random.default_rng(seed)
-    q = np.array(pinimpact.load_robot("solo12").q0)
+    q = q0_of("solo12")
     q[2] += 0.05
     q = pin.integrate(model, q, np.array([0, 0, 0, 0.3, 0.2, 0.1, *np.zeros(12)]))
     v = np.array([0.5, 0.3, 0.0, *0.3 * rng.normal(size=15)])
