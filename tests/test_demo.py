@@ -153,6 +153,7 @@ def test_hand_strikes_level_table_with_moderate_joint_speeds() -> None:
     assert np.abs(shown.impact.v_before).max() < 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tiago", pytest.param("tiago_dual", marks=pytest.mark.exhaustive)])
 def test_table_of_tall_robot_is_below_its_head(name: str) -> None:
     shown = demo_of(name)
