@@ -166,6 +166,25 @@ def test_stiff_damping_of_joints_does_not_alternate(light):
     assert relative_energy_residual(run) < 1e-9
 
 
+@pytest.mark.parametrize("damping", [0.0, 1e-2])
+@pytest.mark.parametrize("tilt_rate", [1.0, 10.0])
+@pytest.mark.parametrize("rate", [300.0, 3000.0])
+def test_steps_through_a_singular_gimbal_add_no_energy(rate, tilt_rate, damping):
+    """Axes 1 and 3 are aligned at first, where only the light rings turn; soon the heavy rotor turns too."""
+    model, joint = pin.Model(), 0
+    model.gravity = pin.Motion.Zero()
+    axes = pin.JointModelRZ(), pin.JointModelRX(), pin.JointModelRZ()
+    for k, (axis, inertia) in enumerate(zip(axes, (1e-8, 1e-8, 1e-2), strict=True)):
+        joint = model.addJoint(joint, axis, pin.SE3.Identity(), f"axis {k}")
+        own = pin.Inertia(1.0, np.zeros(3), inertia * np.eye(3))
+        model.appendBodyToJoint(joint, own, pin.SE3.Identity())
+    unbounded(model)
+    model.damping = np.full(3, damping)
+    run = step(Scene(model), np.zeros(3), np.array([rate, tilt_rate, -rate]), 0.02, 1e-3)
+    assert run.energy.kinetic.max() < 1.02 * run.energy.kinetic[0]
+    assert np.diff(run.energy.joints).max() < 0.01 * run.energy.kinetic[0]
+
+
 def test_control_that_jumps_is_not_taken_for_stiff_damping():
     """Halving its steps would not change it; v alternates about zero after 0.1 s."""
     model, calls = slider(), []

@@ -17,8 +17,7 @@ from .._numeric.augmented_lagrangian import ITERATIONS
 from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
-from ..robot.forest import has_constant_mass, mass_matrix, potential_energy
-from ..robot.pinocchio_bridge import kinetic_energy
+from ..robot.forest import has_constant_mass, mass_matrix
 from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.lie_charts import velocity_within
 from ._kernels.midpoint_step import midpoint_step, near_rows
@@ -35,6 +34,7 @@ from .forces import StepForces
 from .integrator import Integrator
 from .joint_charts import displaced
 from .rest import Rest
+from .step_energy import StepEnergy
 from .step_taken import Near, Removal, StepTaken
 from .step_uniqueness import step_tolerances
 from .stiffness import Stiffness
@@ -59,6 +59,7 @@ class TimeStepping(Integrator):
     _prepared = _left = False
     _restitution: Array  # of the impacts left to the next step
     _rest: Rest
+    _energy: StepEnergy
     _faces: FacingShapes
 
     def _prepare(self) -> None:
@@ -85,6 +86,7 @@ class TimeStepping(Integrator):
         self._faces = FacingShapes(*of_scene, self._rest.joints, self._touching)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)
+        self._energy = StepEnergy(model, self.data, work.resting_speed)
         self._no_change, self._gravity = np.zeros(model.nv), float(np.linalg.norm(model.gravity.linear))
         # contacts whose impact law is that of a step (Moreau's) close within its contact problem
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
@@ -178,6 +180,9 @@ class TimeStepping(Integrator):
             return PASSED
         step, axes = self._dense_step(t, h, v, (system, rows, found))
         step.end = t + share * h
+        if may_be_halved and self._energy.is_gained(step, lost):
+            state.pushed, state.step_before = before
+            return PASSED
         self.instant.rims.check_step(rows, found, step)
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
@@ -458,13 +463,11 @@ class TimeStepping(Integrator):
                 step.taken.removals.append(Removal(correction, pushes, state.q, state.v, rows, near))
             state.q, state.v = displaced(self.work.joint_charts, state.q, state.v, correction)
             moved += correction
-        state.impact_energy += self._energy(state.q, state.v) - self._energy(*start)
+        energy = self._energy
+        state.impact_energy += energy.kinetic(state.q, state.v) - energy.kinetic(*start)
+        state.impact_energy += energy.potential(state.q) - energy.potential(start[0])
         step.coefficients[0, : 2 * nv] += np.concatenate([moved, state.v - v])
         return moved
-
-    def _energy(self, q: Array, v: Array) -> float:
-        """Return the energy at a state [J]."""
-        return potential_energy(self.model, self.data, q) + kinetic_energy(self.model, self.data, q, v)
 
     # ---- impacts
 
