@@ -17,12 +17,11 @@ from .._numeric.augmented_lagrangian import ITERATIONS
 from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
-from ..robot.forest import has_constant_mass, mass_matrix
 from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.lie_charts import velocity_within
 from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.overlap import least_displacement, overlap_at
-from ._kernels.step_impulses import USABLE, invert_trees
+from ._kernels.step_impulses import USABLE
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem, widest
 from ._kernels.tolerances import STEPS_LONGER, STEPS_SHORTEST, STEPS_SLACK, STEPS_TOGETHER
@@ -35,6 +34,7 @@ from .integrator import Integrator
 from .joint_charts import displaced
 from .rest import Rest
 from .step_energy import StepEnergy
+from .step_mass import StepMass, diverged
 from .step_taken import Near, Removal, StepTaken
 from .step_uniqueness import step_tolerances
 from .stiffness import Stiffness
@@ -84,8 +84,7 @@ class TimeStepping(Integrator):
         self._start = np.unique(self._tree, return_index=True)[1][self._tree]
         of_scene = model, self.dynamics, scene.layout(), self.shapes
         self._faces = FacingShapes(*of_scene, self._rest.joints, self._touching)
-        self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
-        self._mass_constant, self._added = has_constant_mass(model, self.data), np.full(model.nv, math.nan)
+        self._mass = StepMass(model, self.data, work, self._tree)
         self._energy = StepEnergy(model, self.data, work.resting_speed)
         self._no_change, self._gravity = np.zeros(model.nv), float(np.linalg.norm(model.gravity.linear))
         # contacts whose impact law is that of a step (Moreau's) close within its contact problem
@@ -238,9 +237,9 @@ class TimeStepping(Integrator):
             The rows, matrices and result of the step, and what `close_gaps` returns.
         """
         state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
-        terms, pushed = self._compute_mass(q, h), state.pushed
+        terms, pushed = self._mass.compute(t, q, h), state.pushed
         system = StepSystem(
-            *(self._mass, self._inverse, *terms, self._tree, self._start),
+            *(self._mass.matrix, self._mass.inverse, *terms, self._tree, self._start),
             *(self._rest.joints, self._collides, self._restitution, self._compliances, self._gravity),
         )
         state.warm_start = np.array(state.warm_start)
@@ -269,19 +268,12 @@ class TimeStepping(Integrator):
     def _check_result(self, t: float, residual: float, found: StepResult) -> None:
         """Raise an error if the velocities are not finite or the contact problem is not solved."""
         if not np.isfinite(found.v_end).all():
-            raise self._diverged()
+            raise diverged(t)
         if residual > FAILED:
             raise IrregularMotionError(
                 f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
                 f"impulses violate Coulomb's law by {residual:.2g} of its velocities; another dt may help"
             )
-
-    def _diverged(self) -> IrregularMotionError:
-        """Return the error of velocities or coordinates that overflow."""
-        return IrregularMotionError(
-            f"scene: the velocities are not finite at t = {self.state.t:.6g} s; the control may be unstable, "
-            "for instance with gains that are too high for its period"
-        )
 
     def _set_resting(
         self,
@@ -356,40 +348,6 @@ class TimeStepping(Integrator):
             *(np.empty((every, 3)), np.empty(every + len(limits))),
         )
 
-    def _compute_mass(self, q: Array, h: float) -> tuple[Array, Array, Array]:
-        """Compute M and its inverse at q (nq,) with the terms of damping and drives in a step of size h [s].
-
-        Velocities whose damping would make them alternate in sign get θ = 1. (theory.md, 16.1)
-
-        Returns:
-            `softened`, `damping` and `theta` of `StepSystem`.
-        """
-        work = self.work
-        damping, sprung, theta = h * work.damping, np.zeros(work.nv), np.full(work.nv, 0.5)
-        if self.dynamics.driven:
-            follows = work.drive_side == 0
-            damping = damping + np.where(follows, h * work.drive_damping, 0.0)
-            sprung = np.where(follows, 0.25 * h * h * work.drive_stiffness, 0.0)
-        damped = np.flatnonzero(damping)
-        root = np.sqrt(damping[damped])
-        while True:
-            softened = theta * damping + sprung
-            self._invert(q, softened)
-            part = np.abs(self._inverse[np.ix_(damped, damped)])
-            alternate = damped[(theta[damped] < 1.0) & (root * (part @ root) > 1.0)]
-            if not len(alternate):
-                return softened, damping, theta
-            theta[alternate] = 1.0
-
-    def _invert(self, q: Array, added: Array) -> None:
-        """Compute M + diag(`added`) and its inverse, unless both are unchanged."""
-        if self._mass_constant and np.array_equal(added, self._added):
-            return
-        self._added = added
-        upper = mass_matrix(self.model, self.data, q)
-        if not invert_trees(upper, added, self._tree, self._mass, self._inverse):
-            raise self._diverged()
-
     def _dense_step(
         self, t: float, h: float, v: Array, solved: tuple[StepSystem, StepRows, StepResult]
     ) -> tuple[DenseStep, Array]:
@@ -455,7 +413,7 @@ class TimeStepping(Integrator):
             depth = overlap_at(self.work, state.q, state.v, rows)
             if depth <= self._touching:
                 break
-            self._invert(state.q, self._no_change)
+            self._mass.invert(state.t, state.q, self._no_change)
             correction, pushes = np.empty(nv), np.empty(len(rows.gap) + 2 * len(rows.held))
             least_displacement(system, rows, correction, pushes)
             if step.taken is not None:
