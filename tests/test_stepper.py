@@ -447,14 +447,16 @@ def swing():
     return errors
 
 
-def test_short_steps_are_of_order_three(swing):
+def test_short_steps_are_of_order_two(swing):
     coarse, fine = swing(40, 0.1), swing(160, 0.1)
-    assert 2.8 < np.log(coarse[0] / fine[0]) / np.log(4.0) < 3.5
-    assert 2.8 < np.log(coarse[1] / fine[1]) / np.log(4.0) < 3.5
-    assert fine[2] < 5.0
+    assert 1.8 < np.log(coarse[0] / fine[0]) / np.log(4.0) < 2.5
+    assert 1.8 < np.log(coarse[1] / fine[1]) / np.log(4.0) < 2.5
+    assert fine[2] < 4.0
 
 
-@pytest.mark.parametrize(("method", "order", "length"), [(0, 8, 0.4), (1, 5, 0.1), (2, 3, 0.05)])
+@pytest.mark.parametrize(
+    ("method", "order", "length"), [(0, 8, 0.4), (1, 5, 0.1), (2, 3, 0.05), (3, 2, 0.05)]
+)
 def test_order_of_explicit_methods(method, order, length):
     scene, errors = Scene(pendulum()), []
     for h in (length, 0.5 * length):
@@ -524,7 +526,7 @@ def test_new_forces_in_contact_need_no_evaluation():
     for k in range(30):
         stepper.step([0.1 * k, 0.0, 0.0], 1e-3)
         counts.append(stepper.trajectory.statistics["evaluations"])
-    assert set(np.diff(counts[10:])) == {3}  # the stages of the method of order 3
+    assert set(np.diff(counts[10:])) <= {2, 3}  # the stages of the methods of orders 2 and 3
 
 
 @pytest.mark.parametrize("kind", COPIES)

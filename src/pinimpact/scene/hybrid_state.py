@@ -54,6 +54,7 @@ class HybridState:
         bounce: Upper bound of the step size where a bounce has just begun [s].
         cut_short: Whether the last step ended at a given time.
         low_orders_from: Numbers of steps from which orders 5 and 3 may be tried.
+        easy: Whether order 2 may be tried.
         steps, rejected: Numbers of accepted and of rejected steps.
         marked: `steps`, `t` and `v` at the last time at which there was progress.
         rubbed: Least work of friction so far, in joints and in contacts [J].
@@ -95,6 +96,7 @@ class HybridState:
     bounce: float = math.inf
     cut_short: bool = False
     low_orders_from: tuple[int, ...] = (0, 0)
+    easy: bool = False
     steps: int = 0
     rejected: int = 0
     marked: tuple[int, float, Array] = (0, 0.0, np.zeros(0))

@@ -45,6 +45,11 @@ Report = Callable[[float, float], None]
 HIGH_ORDER = 10
 """Number of steps before a lower order is tried again after its error was too large."""
 
+LOWEST, LOWEST_ERROR = 3, 0.1
+"""Number of the method of order 2, see `step_dop853`, and the largest error of its steps relative to the
+tolerance: steps that are cut short are many, and their errors add up. It is tried after one of order 3 with
+an eighth of this error, since the same change of the rates is four times the error there."""
+
 SEEN_EVERY = 0.25
 """Longest interval between evaluations of user functions, relative to the scene's time scale: a smooth force
 that sets in after a long rest is detected, unless it lasts less than about a hundredth of that scale."""
@@ -326,12 +331,15 @@ class Integrator:
             method = self._method(trial)
             explicit = method is step_dop853
             low = explicit and state.cut_short and trial == left
-            order = work.method = bisect_right(state.low_orders_from, state.steps) if low else 0
+            order = bisect_right(state.low_orders_from, state.steps) if low else 0
+            order = work.method = LOWEST if order == LOWEST - 1 and state.easy else order
             error = method.attempt(work, t, trial, work.rtol, work.atol)
-            if error > 1.0:
+            if error > (LOWEST_ERROR if order == LOWEST else 1.0):
                 self.dynamics.check()
                 state.rejected += 1
-                if order > 0:
+                if order == LOWEST:
+                    state.easy = False
+                elif order > 0:
                     higher, later = state.low_orders_from[: order - 1], state.steps + HIGH_ORDER
                     state.low_orders_from = (*higher, later, later)[:2]
                 else:
@@ -347,6 +355,7 @@ class Integrator:
                 directions = np.array([work.start_directions, work.end_directions]) if slips else None
                 time = self.dynamics.finish(t, trial, error, explicit)
                 if time >= t:
+                    state.easy = order == LOWEST or (order == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
                     start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
                     return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
             state.rejected += 1

@@ -1,7 +1,7 @@
 """A step of an explicit Runge-Kutta method in a chart about its start, with dense output. (theory.md, 9)
 
 `work.method` selects the order: 8 (Dormand and Prince), or, where steps are cut short, for example by the
-next sample of a control, 5 with half of the evaluations, or 3 with a quarter.
+next sample of a control, 5 with half of the evaluations, 3 with a quarter, or 2 with a sixth.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from ..._compile.declared import declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
-from . import bogacki_shampine, dopri5
+from . import bogacki_shampine, dopri5, explicit_midpoint
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
@@ -27,16 +27,20 @@ SAMPLES = np.array(
         [0, -1, -1, -1, -1, 3, -1, -1, -1, 4, -1, -1, 6, 1, 2, 5],
         [0, 1, 2, 3, 4, -1, 5, -1, -1, -1, -1, -1, -1, -1, -1, -1],
         [0, 1, 2, 3, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1],
+        [0, 1, 2, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1],
     ]
 )
 """Sample number of each stage by method, see `samples`; −1 for stages that are not sampled."""
 
-SAMPLE_COUNTS = np.array([7, 6, 4])
+SAMPLE_COUNTS = np.array([7, 6, 4, 3])
 
-POWERS = np.array([1 / 8, 1 / 5, 1 / 3])
+POWERS = np.array([1 / 8, 1 / 5, 1 / 3, 1 / 3])
 """Exponents p by method: the step size control scales a step by error⁻ᵖ."""
 
-LAST = np.array([STAGES, dopri5.STAGES, bogacki_shampine.STAGES])
+LOW = dopri5, bogacki_shampine, explicit_midpoint
+"""The methods of low order."""
+
+LAST = np.array([STAGES, *(one.STAGES for one in LOW)])
 """Stage at the end of the step, by method."""
 
 
@@ -49,10 +53,10 @@ def _stacked(high, *others):
     return found
 
 
-ALL_NODES = _stacked(NODES, dopri5.NODES, bogacki_shampine.NODES)
-STEPS = _stacked(STEP, dopri5.STEP, bogacki_shampine.STEP)
-ERRORS = _stacked(ERROR, *(np.array([0.0 * one.ERROR, one.ERROR]) for one in (dopri5, bogacki_shampine)))
-DENSES = _stacked(DENSE, dopri5.DENSE[None], np.zeros((1, 0)))
+ALL_NODES = _stacked(NODES, *(one.NODES for one in LOW))
+STEPS = _stacked(STEP, *(one.STEP for one in LOW))
+ERRORS = _stacked(ERROR, *(np.array([0.0 * one.ERROR, one.ERROR]) for one in LOW))
+DENSES = _stacked(DENSE, dopri5.DENSE[None], *np.zeros((2, 1, 0)))
 
 
 @declared(SceneWorkspace, float, float, float, float)
