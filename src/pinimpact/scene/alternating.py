@@ -146,7 +146,12 @@ class Alternating(TimeStepping):
         Raises:
             IrregularMotionError: Events accumulate, or many contacts are active and steps shorter than `dt`.
         """
-        active, steps = self.work.active_contacts, self.record.dense_steps
+        steps = self.record.dense_steps
+        if len(steps) - self.state.events_since < LOOKED_AT:
+            return
+        if steps[-1].end - steps[-LOOKED_AT].start >= LOOKED_AT * self._longest:  # regular steps
+            return
+        active = self.work.active_contacts
         part = min(active**2 * self.model.nv / COSTLY, 1.0)
         count, part, least = (LOOKED_AT, part, SOME) if part > BRIEF else (ACCUMULATING, BRIEF, RARE)
         if len(steps) - self.state.events_since < count:

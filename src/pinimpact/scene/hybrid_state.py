@@ -51,7 +51,7 @@ class HybridState:
         signs, counts: For each user event, the sign of its guard and the number of times it has happened.
         instant, happened: Time of the last user event [s], and the events that have happened at that time.
         length: Step size to try next [s].
-        bounce: Upper bound of the step size where a bounce has just begun [s].
+        bounce: Predicted duration of a bounce that has just begun [s].
         cut_short: Whether the last step ended at a given time.
         low_orders_from: Numbers of steps from which orders 5 and 3 may be tried.
         easy: Whether order 2 may be tried.

@@ -6,9 +6,7 @@ The methods are in theory.md, sections 8 to 12; docs/architecture.md describes t
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..errors import InputError, IrregularMotionError
 from ..robot.names import coordinate_names
-from ._kernels import smooth_motion, step_dop853, step_radau, stiff_drives
+from ._kernels import smooth_motion
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
@@ -34,6 +32,7 @@ from .progress import Progress
 from .recorder import Mark
 from .scene import Scene
 from .shape_watch import Meeting
+from .smooth_steps import SmoothSteps
 from .start import state_at
 from .step_uniqueness import StepUniqueness, step_tolerances
 from .switched_off import altered_model
@@ -42,24 +41,9 @@ from .trajectory import Trajectory
 Report = Callable[[float, float], None]
 """report(t, duration), called after every step."""
 
-HIGH_ORDER = 10
-"""Number of steps before a lower order is tried again after its error was too large."""
-
-LOWEST, LOWEST_ERROR = 3, 0.1
-"""Number of the method of order 2, see `step_dop853`, and the largest error of its steps relative to the
-tolerance: steps that are cut short are many, and their errors add up. It is tried after one of order 3 with
-an eighth of this error, since the same change of the rates is four times the error there."""
-
 SEEN_EVERY = 0.25
 """Longest interval between evaluations of user functions, relative to the scene's time scale: a smooth force
 that sets in after a long rest is detected, unless it lasts less than about a hundredth of that scale."""
-
-BEYOND = 1.3
-"""Longest step, relative to the predicted duration of a bounce that has begun, or of a slip that ends."""
-
-UNCHANGED = 0.1
-"""Ratio of the errors of two successive trial steps above which the error has not decreased with the step
-size: by the order of the methods, halving the step reduces it further."""
 
 
 def _restore(
@@ -80,6 +64,7 @@ class Integrator:
         state: The present state.
         record: The record of the motion so far.
         instant: Resolves impacts and sets contact modes at one instant.
+        smooth: Computes steps of smooth motion.
         dynamics, work: The smooth dynamics, and the workspace of their kernels.
         reached: Length of the record and state at the last time at which both were consistent.
     """
@@ -100,7 +85,7 @@ class Integrator:
         self.shapes = self.instant.shapes
         work = self.work = self.dynamics.work
         work.rtol, work.atol = self.options.rtol, self.options.atol
-        self.drift_tolerance = self.shapes.tolerance = max(work.touching_gap, work.atol)
+        work.drift_tolerance = self.shapes.tolerance = max(work.touching_gap, work.atol)
         self.switched_off = scene.plan().switched_off if without else ()
         names = (drive_name(model, j) for j in work.drive_velocity.tolist())
         self.sources = (*layout.sources, *names)
@@ -119,7 +104,8 @@ class Integrator:
         sizes = self.extent, self.time_scale
         self.progress = Progress(model, self.options, self.instant, sizes, self._continuous is not None)
         longest = math.inf if self._continuous is None else seen_every
-        self.max_step = longest if self.options.max_step is None else self.options.max_step
+        longest = longest if self.options.max_step is None else self.options.max_step
+        self.smooth = SmoothSteps(self.instant, longest, self._continuous is not None)
         self._prepare()
         if state is not None:
             self._continue_with(state)
@@ -249,7 +235,7 @@ class Integrator:
         if state.touching:
             self.shapes.review()
         self.dynamics.set_saturation(state.q, state.v)
-        state.bounce = BEYOND * self.dynamics.begin(state.t, state.q, state.v)
+        state.bounce = self.dynamics.begin(state.t, state.q, state.v)
         doubtful = self.dynamics.doubtful_margin
         if work.force_margin > doubtful:
             work.least_margin = 0.0
@@ -274,13 +260,15 @@ class Integrator:
             The step size to try next [s].
         """
         state, work, t = self.state, self.work, self.state.t
-        outcome = self.progress.stalled(scale) or self._compute(h, stop - t)
+        outcome = self.progress.stalled(scale) or self.smooth.compute(h, stop - t)
         if isinstance(outcome, IrregularMotionError):
             return self._resolve_jam_or_raise(outcome)
         step, natural, time = outcome
         state.steps += 1
-        self.progress.check_drift()
-        self.progress.check_friction(step, min(time, step.end))
+        regular = work.regular
+        if not regular:
+            self.progress.check_drift()
+            self.progress.check_friction(step, min(time, step.end))
         self.record.dense_steps.append(step)
         arriving = self._arriving() if time <= step.end else None
         meeting = None
@@ -300,91 +288,34 @@ class Integrator:
             self._end_at_event(step, time, arriving)
             return natural
         state.cut_short = step.h == stop - t
-        self._complete(step, stop if state.cut_short else step.end)
+        self._complete(step, stop if state.cut_short else step.end, regular)
         longer = step.h * work.growth
         return max(longer, natural) if state.cut_short else longer
 
-    def _compute(self, h: float, left: float) -> tuple[DenseStep, float, float] | IrregularMotionError:
-        """Compute a step whose error is within the tolerances.
-
-        Args:
-            h: Step size to try [s].
-            left: Largest step size [s].
-
-        Returns:
-            The step, the step size to try next if an event cuts it, and the time of the first event in it
-            [s], infinite if there is none; or the error to raise if no step size is small enough.
-        """
-        state, work, t = self.state, self.work, self.state.t
-        # rejected steps show where a continuous control jumps, so the end of slip does not limit them
-        ends = BEYOND * work.slip_ends if self._continuous is None else math.inf
-        natural, h, previous_error = h, min(h, self.max_step, state.bounce, ends), math.inf
-        while True:
-            trial = left if h > 0.9 * left else h
-            if t + trial <= t:
-                self.instant.rims.refuse_flat()
-                return IrregularMotionError(
-                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
-                    "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
-                    value=work.rtol,
-                )
-            method = self._method(trial)
-            explicit = method is step_dop853
-            low = explicit and state.cut_short and trial == left
-            order = bisect_right(state.low_orders_from, state.steps) if low else 0
-            order = work.method = LOWEST if order == LOWEST - 1 and state.easy else order
-            error = method.attempt(work, t, trial, work.rtol, work.atol)
-            if error > (LOWEST_ERROR if order == LOWEST else 1.0):
-                self.dynamics.check()
-                state.rejected += 1
-                if order == LOWEST:
-                    state.easy = False
-                elif order > 0:
-                    higher, later = state.low_orders_from[: order - 1], state.steps + HIGH_ORDER
-                    state.low_orders_from = (*higher, later, later)[:2]
-                else:
-                    natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
-                    # a transient of the drives that decays within the step leaves the same error in slightly
-                    # shorter steps: go to the step size at which the explicit method resolves it
-                    if error > UNCHANGED * previous_error and work.drive_rate > 0.0:
-                        natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
-                    previous_error = error
-                continue
-            if not self.instant.rims.jump(work.q0, work.q1):
-                slips = state.closed is not None and state.closed.slips
-                directions = np.array([work.start_directions, work.end_directions]) if slips else None
-                time = self.dynamics.finish(t, trial, error, explicit)
-                if time >= t:
-                    state.easy = order == LOWEST or (order == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
-                    start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
-                    return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
-            state.rejected += 1
-            h = 0.5 * trial
-
-    def _method(self, h: float) -> ModuleType:
-        """Return the module of the integration method for a step size h [s]."""
-        work = self.work
-        stiff = h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF
-        return step_radau if stiff else step_dop853
-
-    def _complete(self, step: DenseStep, end: float) -> None:
+    def _complete(self, step: DenseStep, end: float, regular: bool) -> None:
         """Accept a step without an event: advance the state to its end and correct constraint drift."""
         state, work = self.state, self.work
         state.works = step.work_at(step.end)
         state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
-        beyond = work.least_margin < 0.0 and not work.end_margin >= 0.0
-        if not beyond:
-            work.least_margin = 0.0
         state.bounce = math.inf
-        if work.drift_at_end > self.drift_tolerance or beyond:
-            if beyond:
-                self._note_violated_bounds(-work.end_margin)
-                self._settle()
-            else:
-                self.instant.correct_constraint_drift()
-            self._begin_motion()
+        if not regular:
+            self._check_end()
         self._sample()
+
+    def _check_end(self) -> None:
+        """Choose modes again if forces are beyond their bounds after a step; correct constraint drift."""
+        work = self.work
+        beyond = work.least_margin < 0.0 and not work.end_margin >= 0.0
+        if beyond:
+            self._note_violated_bounds(-work.end_margin)
+            self._settle()
+            self._begin_motion()
+            return
+        work.least_margin = 0.0
+        if work.drift_at_end > work.drift_tolerance:
+            self.instant.correct_constraint_drift()
+            self._begin_motion()
 
     def _note_violated_bounds(self, excess: float) -> None:
         """Note once that forces exceed their bounds by more than the tolerance."""
@@ -430,7 +361,7 @@ class Integrator:
 
     def _correct_drift(self) -> None:
         """Correct constraint drift if it exceeds the tolerance. (theory.md, 12)"""
-        if self.work.drift_at_end > self.drift_tolerance:
+        if self.work.drift_at_end > self.work.drift_tolerance:
             self.instant.correct_constraint_drift()
 
     def _interrupt(self, step: DenseStep, interruption: Interruption) -> None:

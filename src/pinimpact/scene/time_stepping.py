@@ -63,7 +63,7 @@ class TimeStepping(Integrator):
     _faces: FacingShapes
 
     def _prepare(self) -> None:
-        self._dt, self.max_step = self.options.dt, min(self.max_step, self.options.dt)
+        self._dt = self.options.dt
         self.shapes.clear()  # the contacts reserved for pairs of shapes hold patches instead
         self._prepare_steps()
         self.work.sliding_friction[:] = 0.0

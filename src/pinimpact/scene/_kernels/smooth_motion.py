@@ -196,7 +196,7 @@ def finish(work, t, h, error, explicit):
         step_dop853.complete(work, t, h)
     find_first_event(work)
     slip.set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
-    work.growth = 1.0
+    work.growth, work.regular = 1.0, False
     if work.event_time > t + h:
         step_dop853.begin_next(work)
         slip.set_certain_speed(work)
@@ -215,6 +215,9 @@ def finish(work, t, h, error, explicit):
             if rubs and work.certain_speed < now < before:
                 work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
+        drift, work_done = work.drift_at_end, work.dense_coefficients[0, 2 * work.nv :]
+        dissipates = work_done[1] <= 0.0 and work_done[2] <= 0.0 and not work.callback_failed
+        work.regular = dissipates and drift <= work.drift_tolerance and work.least_margin >= 0.0
     elif work.event_time == -math.inf:  # the step will be repeated with a smaller size
         slip.restore_directions(work)
     return work.event_time

@@ -139,6 +139,7 @@ class SceneWorkspace(Workspace):
     certain_speed = real("speed above which a contact keeps sliding when modes are chosen again [m/s]")
     direction_speed = real("speed below which slip keeps its reference direction [m/s]")
     gravity = real("gravitational acceleration [m/s²]")
+    drift_tolerance = real("constraint drift above which it is corrected [m or m/s]")
 
     # the current step
     rtol = real("relative tolerance of a step")
@@ -164,7 +165,7 @@ class SceneWorkspace(Workspace):
     # the last completed step, and the first event in it
     step_start = real("time at its start [s]")
     step_length = real("its length [s]")
-    method = integer("of an explicit step: 0, 1, 2 for orders 8, 5, 3, see `step_dop853`")
+    method = integer("of an explicit step: 0, 1, 2, 3 for orders 8, 5, 3, 2, see `step_dop853`")
     step_turns = flag("whether the directions of slip were unknowns of the step, see `step_radau`")
     gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
     turning_bounds = reals("contacts", meaning="ρ C of (15.4) for rims, see `contact_motion.turning_bound`")
@@ -177,6 +178,7 @@ class SceneWorkspace(Workspace):
     end_margin = real("`force_margin` at the end [N]")
     drift_at_end = real("constraint drift of the active set at the end, see `constraint_drift`")
     growth = real("factor from this step size to the next one")
+    regular = flag("whether the last step needs no check: no event, no energy gained, constraint drift small")
     least_margin = real("force margin at which modes change; < 0 since no others were found, −inf: never [N]")
     event_time = real("time of the event [s]; infinite if there is none, −inf to request a shorter step")
     event_kind = integer("position of the event in the registry")

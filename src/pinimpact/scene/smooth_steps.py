@@ -1,0 +1,112 @@
+"""Steps of smooth motion: choice of the method and of the step size. (theory.md, 9)"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from types import ModuleType
+
+import numpy as np
+
+from ..errors import IrregularMotionError
+from ._kernels import step_dop853, step_radau, stiff_drives
+from .dense_step import DenseStep
+from .hybrid_state import HybridState
+from .instant import Instant
+
+HIGH_ORDER = 10
+"""Number of steps before a lower order is tried again after its error was too large."""
+
+LOWEST, LOWEST_ERROR = 3, 0.1
+"""Number of the method of order 2, see `step_dop853`, and the largest error of its steps relative to the
+tolerance: steps that are cut short are many, and their errors add up. It is tried after one of order 3 with
+an eighth of this error, since the same change of the rates is four times the error there."""
+
+BEYOND = 1.3
+"""Longest step, relative to the predicted duration of a bounce that has begun, or of a slip that ends."""
+
+UNCHANGED = 0.1
+"""Ratio of the errors of two successive trial steps above which the error has not decreased with the step
+size: by the order of the methods, halving the step reduces it further."""
+
+
+class SmoothSteps:
+    """Computes steps within the tolerances of the workspace.
+
+    Args:
+        instant: Holds the state, the dynamics and the rims.
+        longest: Largest step size [s].
+        jumps: Whether there is a control that may be discontinuous.
+    """
+
+    def __init__(self, instant: Instant, longest: float, jumps: bool) -> None:
+        self._dynamics, self._rims, self._longest, self._jumps = (
+            instant.dynamics,
+            instant.rims,
+            longest,
+            jumps,
+        )
+        self._state: HybridState = instant.state
+
+    def compute(self, h: float, left: float) -> tuple[DenseStep, float, float] | IrregularMotionError:
+        """Compute a step from the present state whose error is within the tolerances.
+
+        Args:
+            h: Step size to try [s].
+            left: Largest step size [s].
+
+        Returns:
+            The step, the step size to try next if an event cuts it, and the time of the first event in it
+            [s], infinite if there is none; or the error to raise if no step size is small enough.
+        """
+        state, work, t = self._state, self._dynamics.work, self._state.t
+        # rejected steps show where a continuous control jumps, so the end of slip does not limit them
+        ends = math.inf if self._jumps else BEYOND * work.slip_ends
+        natural, h, previous_error = h, min(h, self._longest, BEYOND * state.bounce, ends), math.inf
+        while True:
+            trial = left if h > 0.9 * left else h
+            if t + trial <= t:
+                self._rims.refuse_flat()
+                return IrregularMotionError(
+                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
+                    "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
+                    value=work.rtol,
+                )
+            method = self._method(trial)
+            explicit = method is step_dop853
+            low = explicit and state.cut_short and trial == left
+            order = bisect_right(state.low_orders_from, state.steps) if low else 0
+            order = work.method = LOWEST if order == LOWEST - 1 and state.easy else order
+            error = method.attempt(work, t, trial, work.rtol, work.atol)
+            if error > (LOWEST_ERROR if order == LOWEST else 1.0):
+                self._dynamics.check()
+                state.rejected += 1
+                if order == LOWEST:
+                    state.easy = False
+                elif order > 0:
+                    higher, later = state.low_orders_from[: order - 1], state.steps + HIGH_ORDER
+                    state.low_orders_from = (*higher, later, later)[:2]
+                else:
+                    natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                    # a transient of the drives that decays within the step leaves the same error in slightly
+                    # shorter steps: go to the step size at which the explicit method resolves it
+                    if error > UNCHANGED * previous_error and work.drive_rate > 0.0:
+                        natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
+                    previous_error = error
+                continue
+            if not self._rims.jump(work.q0, work.q1):
+                slips = state.closed is not None and state.closed.slips
+                directions = np.array([work.start_directions, work.end_directions]) if slips else None
+                time = self._dynamics.finish(t, trial, error, explicit)
+                if time >= t:
+                    state.easy = order == LOWEST or (order == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
+                    start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
+                    return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
+            state.rejected += 1
+            h = 0.5 * trial
+
+    def _method(self, h: float) -> ModuleType:
+        """Return the module of the integration method for a step size h [s]."""
+        work = self._dynamics.work
+        stiff = h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF
+        return step_radau if stiff else step_dop853
