@@ -34,7 +34,7 @@ FLOAT_VIEW = types.float64[:, :]  # not contiguous, such as some columns of a ma
 FLOAT_COLUMNS = types.float64[::1, :]
 FLAGS = types.boolean[::1]
 THREE, FOUR = types.UniTuple(types.float64, 3), types.UniTuple(types.int64, 4)
-FOUR_FLOATS = types.UniTuple(types.float64, 4)
+TWO_FLOATS, FOUR_FLOATS = types.UniTuple(types.float64, 2), types.UniTuple(types.float64, 4)
 READONLY = types.Array(types.float64, 1, "C", readonly=True)
 
 Floats = Annotated[NDArray[np.float64], FLOATS]

@@ -307,13 +307,6 @@ class SceneDynamics:
         self.check()
         return float(bounce)
 
-    def finish(self, t: float, h: float, error: float, explicit: bool) -> float:
-        """Finish a step and return the time of the first event in it [s]; see `smooth_motion.finish`."""
-        event_time: float = smooth_motion.finish(self.work, t, h, error, explicit)
-        if not self.work.regular:
-            self.check()
-        return event_time
-
     def first_length(self) -> float:
         """Return a conservative size for the first step of a smooth motion [s], from its accelerations."""
         work = self.work
@@ -377,6 +370,7 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         smooth_motion.replace_force,
         force_bound.doubtful_margin,
         step_dop853.attempt,
+        smooth_motion.explicit_step,
         smooth_motion.finish,
         constraint_drift.correct_constraint_drift,
         jamming.forces_unbounded,

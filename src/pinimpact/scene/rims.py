@@ -27,6 +27,10 @@ class Rims:
         self._model, self._data, self._dynamics, self._state = model, data, dynamics, state
         self._rims = [k for k, contact in enumerate(dynamics.contacts) if contact.rim > 0.0]
 
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self._rims)
+
     def jump(self, q: Array, later: Array) -> bool:
         """Whether the lowest point of an active rim turns by a right angle or more from q to `later`.
 

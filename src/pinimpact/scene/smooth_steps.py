@@ -8,8 +8,9 @@ from types import ModuleType
 
 import numpy as np
 
+from ..arrays import Array
 from ..errors import IrregularMotionError
-from ._kernels import step_dop853, step_radau, stiff_drives
+from ._kernels import smooth_motion, step_dop853, step_radau, stiff_drives
 from .dense_step import DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
@@ -73,13 +74,14 @@ class SmoothSteps:
                     value=work.rtol,
                 )
             method = self._method(trial)
-            explicit = method is step_dop853
-            low = explicit and state.cut_short and trial == left
+            low = method is step_dop853 and state.cut_short and trial == left
             order = bisect_right(state.low_orders_from, state.steps) if low else 0
             order = work.method = LOWEST if order == LOWEST - 1 and state.easy else order
-            error = method.attempt(work, t, trial, work.rtol, work.atol)
-            if error > (LOWEST_ERROR if order == LOWEST else 1.0):
+            largest = LOWEST_ERROR if order == LOWEST else 1.0
+            error, time, directions = self._attempt(method, t, trial, largest)
+            if error > largest or not work.regular:
                 self._dynamics.check()
+            if error > largest:
                 state.rejected += 1
                 if order == LOWEST:
                     state.easy = False
@@ -93,17 +95,33 @@ class SmoothSteps:
                     if error > UNCHANGED * previous_error and work.drive_rate > 0.0:
                         natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
                     previous_error = error
-                continue
-            if not self._rims.jump(work.q0, work.q1):
-                slips = state.closed is not None and state.closed.slips
-                directions = np.array([work.start_directions, work.end_directions]) if slips else None
-                time = self._dynamics.finish(t, trial, error, explicit)
-                if time >= t:
-                    state.easy = order == LOWEST or (order == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
-                    start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
-                    return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
-            state.rejected += 1
-            h = 0.5 * trial
+            elif time >= t:
+                state.easy = order == LOWEST or (order == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
+                start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
+                return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
+            else:
+                state.rejected += 1
+                h = 0.5 * trial
+
+    def _attempt(
+        self, method: ModuleType, t: float, h: float, largest: float
+    ) -> tuple[float, float, Array | None]:
+        """Attempt a step of size h [s] from t [s], and complete it if its error is at most `largest`.
+
+        Returns:
+            The error relative to the tolerance; the time of the first event in the step [s], infinite if
+            there is none, −∞ if the step has to be repeated; the directions of slip, see `DenseStep`.
+        """
+        work, slips = self._dynamics.work, self._state.closed is not None and self._state.closed.slips
+        explicit = method is step_dop853
+        if explicit and not self._rims:  # in one call
+            directions = np.array([work.start_directions, work.start_directions]) if slips else None
+            return *smooth_motion.explicit_step(work, t, h, largest), directions
+        error, time = method.attempt(work, t, h, work.rtol, work.atol), -math.inf
+        directions = np.array([work.start_directions, work.end_directions]) if slips else None
+        if not error > largest and not self._rims.jump(work.q0, work.q1):
+            time = smooth_motion.finish(work, t, h, error, explicit)
+        return error, time, directions
 
     def _method(self, h: float) -> ModuleType:
         """Return the module of the integration method for a step size h [s]."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, TWO_FLOATS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign, filled
 from ..._numeric.products import apply_symmetric, dot
@@ -221,6 +221,19 @@ def finish(work, t, h, error, explicit):
     elif work.event_time == -math.inf:  # the step will be repeated with a smaller size
         slip.restore_directions(work)
     return work.event_time
+
+
+@declared(SceneWorkspace, float, float, float, result=TWO_FLOATS)
+@jit
+def explicit_step(work, t, h, largest):
+    """Attempt an explicit step, and `finish` it if its error is at most `largest`.
+
+    Returns the error relative to the tolerance, and the result of `finish`, −∞ if the error is larger.
+    """
+    error = step_dop853.attempt(work, t, h, work.rtol, work.atol)
+    if error > largest or work.callback_failed:
+        return error, -math.inf
+    return error, finish(work, t, h, error, True)
 
 
 @inlined
