@@ -76,7 +76,8 @@ class SmoothSteps:
             method = self._method(trial)
             low = method is step_dop853 and state.cut_short and trial == left
             order = bisect_right(state.low_orders_from, state.steps) if low else 0
-            order = work.method = LOWEST if order == LOWEST - 1 and state.easy else order
+            order = LOWEST if order == LOWEST - 1 and state.easy else order
+            work.method = order if method is step_dop853 else step_dop853.IMPLICIT
             largest = LOWEST_ERROR if order == LOWEST else 1.0
             error, time, directions = self._attempt(method, t, trial, largest)
             if error > largest or not work.regular:
@@ -113,14 +114,13 @@ class SmoothSteps:
             there is none, −∞ if the step has to be repeated; the directions of slip, see `DenseStep`.
         """
         work, slips = self._dynamics.work, self._state.closed is not None and self._state.closed.slips
-        explicit = method is step_dop853
-        if explicit and not self._rims:  # in one call
+        if method is step_dop853 and not self._rims:  # in one call
             directions = np.array([work.start_directions, work.start_directions]) if slips else None
             return *smooth_motion.explicit_step(work, t, h, largest), directions
         error, time = method.attempt(work, t, h, work.rtol, work.atol), -math.inf
         directions = np.array([work.start_directions, work.end_directions]) if slips else None
         if not error > largest and not self._rims.jump(work.q0, work.q1):
-            time = smooth_motion.finish(work, t, h, error, explicit)
+            time = smooth_motion.finish(work, t, h, error)
         return error, time, directions
 
     def _method(self, h: float) -> ModuleType:

@@ -164,9 +164,9 @@ def modes_continue(work):
     return True
 
 
-@declared(SceneWorkspace, float, float, float, bool)
+@declared(SceneWorkspace, float, float, float)
 @jit
-def finish(work, t, h, error, explicit):
+def finish(work, t, h, error):
     """Complete an accepted step: dense output, first event, step size control.
 
     Results are stored in the workspace. If no event cuts the step its end becomes the start of the next one.
@@ -176,7 +176,6 @@ def finish(work, t, h, error, explicit):
         t: Time at the start [s].
         h: Length of the step [s].
         error: Error of the step relative to the tolerance.
-        explicit: Whether the step was explicit.
 
     Returns:
         The time of the first event [s]: infinite if there is none, −∞ if the step has to be repeated.
@@ -192,7 +191,7 @@ def finish(work, t, h, error, explicit):
         dynamics.follow_surface(work, i)
     if len(work.end_gaps):
         dynamics.contact_gaps(work, work.end_gaps, work.end_spheres)
-    if explicit:
+    if work.method != step_dop853.IMPLICIT:
         step_dop853.complete(work, t, h)
     find_first_event(work)
     slip.set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
@@ -233,7 +232,7 @@ def explicit_step(work, t, h, largest):
     error = step_dop853.attempt(work, t, h, work.rtol, work.atol)
     if error > largest or work.callback_failed:
         return error, -math.inf
-    return error, finish(work, t, h, error, True)
+    return error, finish(work, t, h, error)
 
 
 @inlined

@@ -34,13 +34,16 @@ SAMPLES = np.array(
 
 SAMPLE_COUNTS = np.array([7, 6, 4, 3])
 
-POWERS = np.array([1 / 8, 1 / 5, 1 / 3, 1 / 3])
+POWERS = np.array([1 / 8, 1 / 5, 1 / 3, 1 / 3, 1 / 8])
 """Exponents p by method: the step size control scales a step by error⁻ᵖ."""
 
 LOW = dopri5, bogacki_shampine, explicit_midpoint
 """The methods of low order."""
 
-LAST = np.array([STAGES, *(one.STAGES for one in LOW)])
+IMPLICIT = 1 + len(LOW)
+"""Number of the method of `step_radau`."""
+
+LAST = np.array([STAGES, *(one.STAGES for one in LOW), STAGES])
 """Stage at the end of the step, by method."""
 
 

@@ -165,7 +165,7 @@ class SceneWorkspace(Workspace):
     # the last completed step, and the first event in it
     step_start = real("time at its start [s]")
     step_length = real("its length [s]")
-    method = integer("of an explicit step: 0, 1, 2, 3 for orders 8, 5, 3, 2, see `step_dop853`")
+    method = integer("0 to 3 for explicit steps of orders 8, 5, 3, 2; 4 for implicit ones, see `step_dop853`")
     step_turns = flag("whether the directions of slip were unknowns of the step, see `step_radau`")
     gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
     turning_bounds = reals("contacts", meaning="ρ C of (15.4) for rims, see `contact_motion.turning_bound`")
