@@ -283,10 +283,12 @@ def limit_of_compliances(work):
     if decides and residual > NEGLIGIBLE:
         # keep rows of small inverse inertia too, although their forces may be large
         work.rank_tolerance = FINEST
-        free = size - solve_redundant(work, system, rights, found, right_null)
-        if not relative_residual(work, found[0]) < 0.1 * residual:
+        finer, null = np.empty((1, size)), np.empty((size, size))
+        count = size - solve_redundant(work, system, rights, finer, null)
+        if relative_residual(work, finer[0]) < 0.1 * residual:
+            free, found, right_null = count, finer, null
+        else:
             work.rank_tolerance = SINGULAR_STILL
-            free = size - solve_redundant(work, system, rights, found, right_null)
     assign(x, found[0])
     if free == 0:
         return True
