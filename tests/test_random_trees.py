@@ -39,3 +39,14 @@ def test_all_kinds_of_joints_are_drawn_and_mass_matrices_are_right() -> None:
             summed += jacobian.T @ model.inertias[j].matrix() @ jacobian
         assert mass == pytest.approx(summed, abs=1e-12 * np.abs(summed).max())
     assert len(kinds) == 1 + len(random_trees.JOINTS)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+def test_events_accumulate_although_stiff_joints_settle_after_each() -> None:
+    """Axes of the neck are nearly aligned at 0.606 s: a light link settles within 1e-10 s of each event."""
+    _, scene, q, v, rtol = random_trees.draw(68_000_000_125)
+    trajectory = simulate(scene, q, v, 0.61, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.t[-1] == 0.61
+    assert trajectory.statistics["steps"] < 10_000
+    assert violation_in(trajectory, rtol) == ""

@@ -301,6 +301,29 @@ def test_box_falling_flat_while_sliding_on_edge(friction, turn, v):
     assert np.isfinite(found.state).all()
 
 
+def test_derivatives_of_impulses_without_recorded_iterations():
+    """Three iterations represent impulses of the direct method; the box lands on two independent corners."""
+    model = box((0.2, 0.2, 0.1))
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.08, 0.3, 0, 0]))
+    run = simulate(
+        *(Scene(model, corners(0.3, 0.0)), q, [0.5, 0.2, -0.5, 0, 0, 0.1], 0.06),
+        **{"scheme": "time-stepping", "dt": 1e-3, "sensitivities": ("state", "friction:corner 0 on plane")},
+    )
+    taken = [step.taken for step in run.sensitivities._steps]
+    known = run.sensitivity(0.06)
+    assert sum(len(one.found.course[0]) for one in taken) > 50
+    run.sensitivities._starts.clear()
+    run.sensitivities._slopes.steps._held = None
+    for one in taken:
+        one.found = one.found._replace(course=one.found.course[:, :0])
+    found = run.sensitivity(0.06)
+    assert not np.array_equal(found.state, known.state)
+    np.testing.assert_allclose(found.state, known.state, rtol=0, atol=1e-4 * np.abs(known.state).max())
+    for name, by in known.parameters.items():
+        assert np.abs(by).max() > 1e-3
+        np.testing.assert_allclose(found.parameters[name], by, rtol=0, atol=1e-4 * np.abs(by).max())
+
+
 def test_removal_of_overlap_of_box_falling_flat():
     """A corner that separates while the overlap of others is removed has z = 0 in (D36)."""
     model = box((0.2, 0.2, 0.1))

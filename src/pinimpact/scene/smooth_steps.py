@@ -41,13 +41,9 @@ class SmoothSteps:
     """
 
     def __init__(self, instant: Instant, longest: float, jumps: bool) -> None:
-        self._dynamics, self._rims, self._longest, self._jumps = (
-            instant.dynamics,
-            instant.rims,
-            longest,
-            jumps,
-        )
+        self._dynamics, self._rims = instant.dynamics, instant.rims
         self._state: HybridState = instant.state
+        self._longest, self._jumps = longest, jumps
 
     def compute(self, h: float, left: float) -> tuple[DenseStep, float, float] | IrregularMotionError:
         """Compute a step from the present state whose error is within the tolerances.

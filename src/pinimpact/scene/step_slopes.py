@@ -354,7 +354,7 @@ class StepSlopes:
             by_friction[: 3 * len(of), column] = np.repeat(of, 3)
         v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
         tied = False
-        for one in law.iterations(response, otherwise):
+        for one in law.iterations(response, largest, otherwise):
             own = one.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
             forces, moving = rows.slopes.forces(own[:, 0]) @ middle, closing
             pushed = forces

@@ -230,7 +230,7 @@ def explicit_step(work, t, h, largest):
     Returns the error relative to the tolerance, and the result of `finish`, −∞ if the error is larger.
     """
     error = step_dop853.attempt(work, t, h, work.rtol, work.atol)
-    if error > largest or work.callback_failed:
+    if error > largest:  # or infinite, if a call into Python has failed
         return error, -math.inf
     return error, finish(work, t, h, error)
 

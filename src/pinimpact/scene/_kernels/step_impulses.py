@@ -7,17 +7,22 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, Integers, declared
-from ..._compile.jit import inlined, jit
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_lagrangian import solve_velocities
 from ..._numeric.augmented_newton import VelocityProblem, law_of_steps
-from ..._numeric.loops import filled
+from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant, solve_coulomb
+from ..._numeric.loops import assign, filled
+from ..._numeric.products import products
 from ..._numeric.semidefinite import invert_definite
-from ..._numeric.tolerances import STALLED
+from ..._numeric.tolerances import COMPUTED, LITTLE, STALLED
 from .step_rows import first_row
 
 USABLE = STALLED
 """Residual of the contact problem, relative to u_free, above which it is reported. It is much smaller than
 the error of steps of any useful size."""
+
+TOLERABLE = LITTLE
+"""Residual above which the problem is solved in the impulses, a thousand times slower for many contacts."""
 
 
 @declared(FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS)
@@ -68,6 +73,60 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
                 for o in range(len(label)):
                     if label[o] == one or label[o] == other:
                         label[o] = min(one, other)
+
+
+@external
+def solve_island(problem, part, accuracy, begin, change, found, course):
+    """Compute the impulses of an island; return the residual of Coulomb's law relative to u_free.
+
+    Args:
+        problem: The `VelocityProblem` of the island.
+        part: See `solve_velocities`.
+        accuracy: Relative accuracy, see `solve_velocities`.
+        begin: (m,) warm start: change of the velocities; overwritten with that for the next problem.
+        change: (m,) is overwritten with the change of velocities by the impulses.
+        found: (n,) is overwritten with the impulses.
+        course: (2, …, n) is overwritten with r and f⁺ of the iterations, zeros if the problem was solved in
+            the impulses.
+    """
+    residual = solve_velocities(problem, part, accuracy, begin, change, found, course)
+    if residual <= TOLERABLE:
+        return residual
+    course[:] = 0.0
+    return solve_in_impulses(problem, residual, change, found)
+
+
+@external
+def solve_in_impulses(problem, residual, change, found):
+    """Compute the impulses of an island with its Delassus matrix; keep them if their residual is smaller.
+
+    Arguments and result are those of `solve_island`; `residual` is that of the impulses in `found`.
+    """
+    _, inverse, _, values, columns, counts, free, law, compliance = problem
+    n, m, nc = len(found), len(change), len(law.friction)
+    jacobian, response, delassus = np.zeros((n, m)), np.empty((n, m)), np.empty((n, n))
+    for a in range(n):
+        for k in range(counts[a]):
+            jacobian[a, columns[a, k]] = values[a, k]
+    products(jacobian, inverse, response)
+    products(jacobian, response, delassus)
+    for a in range(n):
+        for b in range(a):
+            delassus[b, a] = delassus[a, b]
+    impulses = np.zeros(n)
+    whole = CoulombProblem(delassus, free, law)
+    if n > m and nc > 0:
+        residual_now = solve_compliant(whole, impulses, compliance, COMPUTED)
+    else:
+        residual_now = solve_coulomb(whole, impulses)
+    if not residual_now < residual:
+        return residual
+    assign(found, impulses)
+    for c in range(m):
+        change[c] = 0.0
+        for a in range(n):
+            change[c] += response[a, c] * found[a]
+    return residual_now
 
 
 class Island(NamedTuple):
@@ -166,7 +225,7 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse,
         begin: (nv,) warm start: change of the velocities; overwritten with that for the next problem.
         change: (nv,) is overwritten with the change of velocities by the impulses.
         impulse: (n,) is overwritten with the impulses.
-        course: (2, …, n) is overwritten with r and f⁺ of the iterations, see `solve_velocities`.
+        course: (2, …, n) is overwritten with r and f⁺ of the iterations of each island, see `solve_island`.
     """
     nc, nv, trees = len(problem.law.friction), len(tree), 0
     for c in range(nv):
@@ -187,7 +246,7 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse,
         for a in range(len(moves)):
             start[a] = begin[moves[a]]
         own, steps = problem_of(problem, island), np.zeros((2, course.shape[1], len(rows)))
-        worst = max(worst, solve_velocities(own, part, accuracy, start, moved, found, steps))
+        worst = max(worst, solve_island(own, part, accuracy, start, moved, found, steps))
         for a in range(len(rows)):
             impulse[rows[a]] = found[a]
             course[:, :, rows[a]] = steps[:, :, a]
