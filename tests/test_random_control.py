@@ -15,15 +15,15 @@ from .random_control import DURATION, draw, violation_in
         2000015,  # joints at incipient slip beside a sticking contact
         1000008,  # feet at rest, with joints held by dry friction
         2000252,  # a joint whose load equals its dry friction up to rounding, beside a frictionless contact
-        pytest.param(1000095, marks=pytest.mark.exhaustive),
-        pytest.param(1000249, marks=pytest.mark.exhaustive),
-        pytest.param(1000281, marks=pytest.mark.exhaustive),
+        1000095,
+        1000249,
+        1000281,
         1000293,  # joints that begin to slip when contacts close
-        pytest.param(3000051, marks=pytest.mark.exhaustive),
+        3000051,
         3000009,  # the next modes lead back to the previous ones
-        pytest.param(4000053, marks=pytest.mark.exhaustive),
+        4000053,
         5000092,  # a nearly redundant row: if the rank is too low, the joint moves
-        pytest.param(1000142, marks=pytest.mark.exhaustive),
+        1000142,
         1000026,  # joints that begin to slip while contacts are nearly redundant
         4000311,  # bounces lower than the gap that is taken as zero
         86000207,  # a stretched arm held by its tip and by dry friction: ill-conditioned forces

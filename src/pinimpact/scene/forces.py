@@ -52,8 +52,7 @@ class ClosedSet(NamedTuple):
     def under(self, work: SceneWorkspace) -> ClosedSet:
         """Return this set under the present force of the control."""
         control, speed = work.control_force.copy(), work.direction_speed
-        present = *self[:3], control, self.constants, speed, *self[6:]
-        return ClosedSet._make(present)
+        return self._replace(control=control, direction_speed=speed)
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:

@@ -38,8 +38,6 @@ def check_numbers(**numbers: float) -> None:
         InputError: A value that is out of range or not a number.
     """
     for name, value in numbers.items():
-        if name == "dt" and type(value) is float and 0.0 < value < math.inf:
-            continue  # of each step of a controller
         if name == "rtol":
             checked_rtol(value, LEAST_RTOL)
         number = real_number(name, value)

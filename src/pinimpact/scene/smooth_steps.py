@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from types import ModuleType
 
 import numpy as np
 
@@ -69,13 +68,13 @@ class SmoothSteps:
                     "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
                     value=work.rtol,
                 )
-            method = self._method(trial)
-            low = method is step_dop853 and state.cut_short and trial == left
+            implicit = self._is_stiff(trial)
+            low = not implicit and state.cut_short and trial == left
             order = bisect_right(state.low_orders_from, state.steps) if low else 0
             order = LOWEST if order == LOWEST - 1 and state.easy else order
-            work.method = order if method is step_dop853 else step_dop853.IMPLICIT
+            work.method = step_dop853.IMPLICIT if implicit else order
             largest = LOWEST_ERROR if order == LOWEST else 1.0
-            error, time, directions = self._attempt(method, t, trial, largest)
+            error, time, directions = self._attempt(t, trial, largest)
             if error > largest or not work.regular:
                 self._dynamics.check()
             if error > largest:
@@ -100,27 +99,26 @@ class SmoothSteps:
                 state.rejected += 1
                 h = 0.5 * trial
 
-    def _attempt(
-        self, method: ModuleType, t: float, h: float, largest: float
-    ) -> tuple[float, float, Array | None]:
-        """Attempt a step of size h [s] from t [s], and complete it if its error is at most `largest`.
+    def _attempt(self, t: float, h: float, largest: float) -> tuple[float, float, Array | None]:
+        """Attempt a step of size h [s] by `work.method`, and complete it if its error is at most `largest`.
 
         Returns:
             The error relative to the tolerance; the time of the first event in the step [s], infinite if
             there is none, −∞ if the step has to be repeated; the directions of slip, see `DenseStep`.
         """
         work, slips = self._dynamics.work, self._state.closed is not None and self._state.closed.slips
-        if method is step_dop853 and not self._rims:  # in one call
+        implicit = work.method == step_dop853.IMPLICIT
+        if not (implicit or self._rims):  # in one call
             directions = np.array([work.start_directions, work.start_directions]) if slips else None
             return *smooth_motion.explicit_step(work, t, h, largest), directions
+        method = step_radau if implicit else step_dop853
         error, time = method.attempt(work, t, h, work.rtol, work.atol), -math.inf
         directions = np.array([work.start_directions, work.end_directions]) if slips else None
         if not error > largest and not self._rims.jump(work.q0, work.q1):
             time = smooth_motion.finish(work, t, h, error)
         return error, time, directions
 
-    def _method(self, h: float) -> ModuleType:
-        """Return the module of the integration method for a step size h [s]."""
+    def _is_stiff(self, h: float) -> bool:
+        """Return whether a step of size h [s] has to be implicit."""
         work = self._dynamics.work
-        stiff = h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF
-        return step_radau if stiff else step_dop853
+        return h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF

@@ -147,17 +147,16 @@ def driven_at(work, t, h):
         return no_drives(work), True
     set_state(work, work.q0, work.v0)
     evaluate(work, t, np.empty(n + 4))
-    if work.callback_failed:
-        return no_drives(work), False
-    if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
+    inverted = work.active_contacts + work.active_scalars > 0
+    if work.callback_failed or not (inverted or invert_mass_matrix(work)):
         return no_drives(work), False
     index = stiff_velocities(work, h)
     k = len(index)
+    if k == 0:
+        return no_drives(work), True
     response, stiffness, damping = np.empty((k, n)), np.empty(k), np.empty(k)
     matrix, order = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64)
     known = Driven(index, response, stiffness, damping, matrix, order)
-    if k == 0:
-        return known, True
     fill_response(work, index, response)
     for c in range(k):
         stiffness[c], damping[c] = law(work, index[c])
