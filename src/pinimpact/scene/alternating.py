@@ -22,6 +22,7 @@ from .integrator import Integrator
 from .progress import BY_EVENTS, ended
 from .recorder import Mark
 from .records import SteppedInterval
+from .smooth_steps import Outcome
 from .time_stepping import TimeStepping
 
 CHUNK = 8
@@ -75,15 +76,15 @@ class Alternating(TimeStepping):
         except IrregularMotionError as error:
             self._cross(error)
 
-    def hold_force(self, tau: Array) -> None:
-        """Replace the constant generalized force (nv,) from the present time on."""
+    def hold_force(self, tau: Array, left: float) -> Outcome | None:
+        """Replace the constant generalized force; see `Integrator.hold_force`."""
         if self.state.crossing:
-            TimeStepping.hold_force(self, tau)
-            return
+            return TimeStepping.hold_force(self, tau, left)
         try:
-            Integrator.hold_force(self, tau)
+            return Integrator.hold_force(self, tau, left)
         except IrregularMotionError as error:
             self._cross(error)
+            return None
 
     def _settle_contacts(self, arriving: Any = None) -> None:
         (TimeStepping if self.state.crossing else Integrator)._settle_contacts(self, arriving)
@@ -115,24 +116,24 @@ class Alternating(TimeStepping):
 
     # ---- crossing
 
-    def _step(self, h: float, stop: float, scale: float) -> float:
+    def _step(self, h: float, stop: float, scale: float, begun: Outcome | None = None) -> float:
         """Take one event-driven step or several time steps; return the step size to try next [s]."""
         state = self.state
         if not state.crossing:
             try:
-                length = Integrator._step(self, h, stop, scale)
+                length = Integrator._step(self, h, stop, scale, begun)
                 self._watch_events()
                 return length
             except IrregularMotionError as error:
                 self._cross(error)
         entering, state.entering = state.entering, False
-        length, begun = FIRST_STEP * self._longest if entering else CHUNK * state.coarse, self.mark()
+        length, entry = FIRST_STEP * self._longest if entering else CHUNK * state.coarse, self.mark()
         try:
             self._step_until(min(stop, state.until, state.t + length))
         except IrregularMotionError:  # near a locked posture (theory.md, 13.4) only longer steps leave it
             if not entering and state.coarse >= self._longest:
                 raise
-            self._return_to(begun)
+            self._return_to(entry)
             state.coarse *= 1.0 if entering else 2.0
             state.until = max(state.until, state.t + CHUNK * state.coarse)
             return state.coarse
@@ -285,6 +286,5 @@ class Alternating(TimeStepping):
         self._sample()
         self.progress.mark()
         state.cut_short, state.events_since = False, len(self.record.dense_steps)
-        _, *rubbed, _ = state.works.tolist()
-        state.rubbed = tuple(rubbed)
+        work.friction_gain[:] = 0.0
         return self.dynamics.first_length()

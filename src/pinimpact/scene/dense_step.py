@@ -14,6 +14,9 @@ from .step_taken import StepTaken
 WORKS = 4
 """Number of works integrated with the motion: of control, joints, sliding friction and moving surfaces."""
 
+FRICTION = slice(1, 3)
+"""Those of friction: in joints, and in sliding contacts."""
+
 SLOPES = dense_output.BASIS * np.arange(1.0, 1.0 + len(dense_output.BASIS))
 """(7, 7) Coefficients of the derivatives of the dense output's terms, by powers of θ."""
 

@@ -371,6 +371,7 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         force_bound.doubtful_margin,
         step_dop853.attempt,
         smooth_motion.explicit_step,
+        smooth_motion.step_under,
         smooth_motion.finish,
         constraint_drift.correct_constraint_drift,
         jamming.forces_unbounded,

@@ -20,7 +20,7 @@ from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
-from .dense_step import DenseStep
+from .dense_step import FRICTION, DenseStep
 from .event_watch import EventWatch, Interruption
 from .events import as_events
 from .forces import ClosedSet, EvaluatedForces
@@ -32,7 +32,7 @@ from .progress import Progress
 from .recorder import Mark
 from .scene import Scene
 from .shape_watch import Meeting
-from .smooth_steps import SmoothSteps
+from .smooth_steps import Outcome, SmoothSteps
 from .start import state_at
 from .step_uniqueness import StepUniqueness, step_tolerances
 from .switched_off import altered_model
@@ -160,36 +160,46 @@ class Integrator:
         self._begin_motion()
         self.state.length = self.dynamics.first_length()
 
-    def advance(self, until: float, report: Report | None = None) -> None:
-        """Advance to a time [s], or until an event ends the motion; `report` is called after every step."""
+    def advance(self, until: float, report: Report | None = None, tau: Array | None = None) -> None:
+        """Advance to a time, or until an event ends the motion.
+
+        Args:
+            until: The time [s].
+            report: Called after every step.
+            tau: (nv,) constant generalized force from the present time on; None: it remains the same.
+        """
         state, sampled = self.state, self.sampled
         while state.t < until and state.ended_by is None:
             stop = until
             if sampled is not None and sampled.next < until - ROUNDING * until:
                 stop = sampled.next
+            begun = None if tau is None else self.hold_force(tau, stop - state.t)
             self.progress.mark()
             while state.t < stop and state.ended_by is None:
-                state.length = self._step(state.length, stop, min(1.0, until))
-                self.reached = self.mark()
+                state.length = self._step(state.length, stop, min(1.0, until), begun)
+                self.reached, begun = self.mark(), None
                 if report is not None:
                     report(state.t, until)
+            tau = None
             if sampled is not None and stop < until and state.ended_by is None:
                 tau = sampled.at(state.t, state.q, state.v)
-                if tau is not None:
-                    self.hold_force(tau)
 
-    def hold_force(self, tau: Array) -> None:
-        """Replace the constant generalized force (nv,) from the present time on."""
-        state, work = self.state, self.work
-        if tau.tobytes() == work.control_force.tobytes():
-            return
-        if smooth_motion.replace_force(work, tau):
-            state.bounce = math.inf
-            state.closed = state.closed and state.closed.under(work)
-            return
-        self._begin_motion()
-        if not smooth_motion.modes_continue(work):
-            self._settle_and_begin()
+    def hold_force(self, tau: Array, left: float) -> Outcome | None:
+        """Replace the constant generalized force from the present time on.
+
+        Args:
+            tau: (nv,) the force.
+            left: Time until it changes again [s].
+
+        Returns:
+            A step of this length, if one was computed in the same call.
+        """
+        continues, outcome = self.smooth.replace_force(tau, left)
+        if not continues:
+            self._begin_motion()
+            if not smooth_motion.modes_continue(self.work):
+                self._settle_and_begin()
+        return outcome
 
     def resume(self) -> None:
         """Continue a motion that an event may have ended, and restart the count for `max_impacts`."""
@@ -248,19 +258,20 @@ class Integrator:
         state.forces_unique = unique
         state.closed = ClosedSet.of(work, self.shapes.swapped())
 
-    def _step(self, h: float, stop: float, scale: float) -> float:
+    def _step(self, h: float, stop: float, scale: float, begun: Outcome | None = None) -> float:
         """Take one accepted step, or its part up to the first event.
 
         Args:
             h: Step size to try [s].
             stop: Latest end of the step [s].
             scale: Time to which the limit `STALLED` of progress is relative [s].
+            begun: The step, if it is computed already.
 
         Returns:
             The step size to try next [s].
         """
         state, work, t = self.state, self.work, self.state.t
-        outcome = self.progress.stalled(scale) or self.smooth.compute(h, stop - t)
+        outcome = begun or self.progress.stalled(scale) or self.smooth.compute(h, stop - t)
         if isinstance(outcome, IrregularMotionError):
             return self._resolve_jam_or_raise(outcome)
         step, natural, time = outcome
@@ -296,6 +307,7 @@ class Integrator:
         """Accept a step without an event: advance the state to its end and correct constraint drift."""
         state, work = self.state, self.work
         state.works = step.work_at(step.end)
+        work.friction_gain[:] = work.end_gain
         state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
         state.bounce = math.inf
@@ -357,6 +369,8 @@ class Integrator:
         step.end = state.t = t
         state.q, state.v = step.at(t)
         state.works = step.work_at(t)
+        gain = self.work.friction_gain
+        gain[:] = np.maximum(gain + (state.works - step.w)[FRICTION], 0.0)
         self._sample()
 
     def _correct_drift(self) -> None:

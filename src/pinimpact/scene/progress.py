@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pinocchio as pin
 
@@ -11,7 +9,7 @@ from ..contact_space.simultaneous import LAST
 from ..errors import IrregularMotionError, SimulationError
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.tolerances import PROGRESS, STALLED
-from .dense_step import DenseStep
+from .dense_step import FRICTION, DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
 from .options import Options
@@ -62,7 +60,7 @@ class Progress:
         extent, self._time_scale = sizes
         self._speed = extent / self._time_scale
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
-        self._little = self._weight * options.rtol * extent
+        self._little = instant.dynamics.work.friction_tolerance = self._weight * options.rtol * extent
         self._tolerance = options.rtol * extent + options.atol
 
     def mark(self) -> None:
@@ -120,20 +118,15 @@ class Progress:
             IrregularMotionError: It does.
         """
         state, work = self._state, self._instant.dynamics.work
-        _, joints, contacts, _ = state.works.tolist()
-        least_joints, least_contacts = state.rubbed
-        state.rubbed = least_joints, least_contacts = min(joints, least_joints), min(contacts, least_contacts)
-        _, by_joints, by_contacts, _ = step.work_at(until).tolist()
-        gained = max(by_joints - least_joints, by_contacts - least_contacts)
-        at_once = max(by_joints - joints, by_contacts - contacts)
+        done = (step.work_at(until) - step.w)[FRICTION]
+        gained, at_once = float((work.friction_gain + done).max()), float(done.max())
         if not gained > self._little:
             return
         error = self._instant.dynamics.error(state.v)
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
-        rounding = 4.0 * math.ulp(max(abs(by_joints), abs(by_contacts)))  # of sums that grow step by step
         pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())
-        too_much = gained > self._little + pressed * ROLLING * error * until + rounding
-        too_much |= at_once > self._little + forces * error * (until - step.start) + rounding
+        too_much = gained > self._little + pressed * ROLLING * error * until
+        too_much |= at_once > self._little + forces * error * (until - step.start)
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
         if too_much and gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
             raise IrregularMotionError(

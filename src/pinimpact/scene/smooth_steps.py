@@ -10,9 +10,13 @@ import numpy as np
 from ..arrays import Array
 from ..errors import IrregularMotionError
 from ._kernels import smooth_motion, step_dop853, step_radau, stiff_drives
+from ._kernels.smooth_motion import BEYOND
 from .dense_step import DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
+
+Outcome = tuple[DenseStep, float, float]
+"""A step, the step size to try next if an event cuts it [s], and the time of its first event [s] or ∞."""
 
 HIGH_ORDER = 10
 """Number of steps before a lower order is tried again after its error was too large."""
@@ -22,8 +26,8 @@ LOWEST, LOWEST_ERROR = 3, 0.1
 tolerance: steps that are cut short are many, and their errors add up. It is tried after one of order 3 with
 an eighth of this error, since the same change of the rates is four times the error there."""
 
-BEYOND = 1.3
-"""Longest step, relative to the predicted duration of a bounce that has begun, or of a slip that ends."""
+LARGEST = 1.0, 1.0, 1.0, LOWEST_ERROR
+"""Largest errors relative to the tolerance, by number of the explicit method."""
 
 UNCHANGED = 0.1
 """Ratio of the errors of two successive trial steps above which the error has not decreased with the step
@@ -44,7 +48,34 @@ class SmoothSteps:
         self._state: HybridState = instant.state
         self._longest, self._jumps = longest, jumps
 
-    def compute(self, h: float, left: float) -> tuple[DenseStep, float, float] | IrregularMotionError:
+    def replace_force(self, tau: Array, left: float) -> tuple[bool, Outcome | None]:
+        """Replace the constant generalized force, and compute the next step where it is of low order.
+
+        Args:
+            tau: (nv,) the force from the present time on.
+            left: Length of the step [s].
+
+        Returns:
+            Whether the motion continues; otherwise it has to be restarted. The step, or None.
+        """
+        state, work, error, time = self._state, self._dynamics.work, math.inf, -math.inf
+        order, directions = 0, self._directions()
+        if not self._rims and 0.9 * left < min(state.length, self._longest):
+            order = self._low_order()
+        if order > 0:
+            work.method = order
+            error, time = smooth_motion.step_under(work, tau, state.t, left, LARGEST[order])
+        elif not smooth_motion.replace_force(work, tau):
+            error = math.nan
+        if math.isnan(error):
+            return False, None
+        state.bounce = math.inf
+        state.closed = state.closed and state.closed.under(work)
+        if error > LARGEST[order] or time < state.t:
+            return True, None
+        return True, self._outcome((error, time, directions), left, state.length)
+
+    def compute(self, h: float, left: float) -> Outcome | IrregularMotionError:
         """Compute a step from the present state whose error is within the tolerances.
 
         Args:
@@ -69,15 +100,11 @@ class SmoothSteps:
                     value=work.rtol,
                 )
             implicit = self._is_stiff(trial)
-            low = not implicit and state.cut_short and trial == left
-            order = bisect_right(state.low_orders_from, state.steps) if low else 0
-            order = LOWEST if order == LOWEST - 1 and state.easy else order
+            order = self._low_order() if trial == left and not implicit else 0
             work.method = step_dop853.IMPLICIT if implicit else order
-            largest = LOWEST_ERROR if order == LOWEST else 1.0
-            error, time, directions = self._attempt(t, trial, largest)
-            if error > largest or not work.regular:
+            found = error, time, _ = self._attempt(t, trial, LARGEST[order])
+            if error > LARGEST[order]:
                 self._dynamics.check()
-            if error > largest:
                 state.rejected += 1
                 if order == LOWEST:
                     state.easy = False
@@ -92,12 +119,30 @@ class SmoothSteps:
                         natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
                     previous_error = error
             elif time >= t:
-                state.easy = order == LOWEST or (order == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
-                start = t, trial, state.q, state.v, state.works, work.dense_coefficients.copy()
-                return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
+                return self._outcome(found, trial, natural)
             else:
                 state.rejected += 1
                 h = 0.5 * trial
+
+    def _low_order(self) -> int:
+        """Return the number of the method to try for a step that ends at a given time."""
+        state = self._state
+        order = bisect_right(state.low_orders_from, state.steps) if state.cut_short else 0
+        return LOWEST if order == LOWEST - 1 and state.easy else order
+
+    def _outcome(self, found: tuple[float, float, Array | None], h: float, natural: float) -> Outcome:
+        """Return a completed step of size h [s], from the results of `_attempt`."""
+        state, work, (error, time, directions) = self._state, self._dynamics.work, found
+        if not work.regular:
+            self._dynamics.check()
+        state.easy = work.method == LOWEST or (work.method == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
+        start = state.t, h, state.q, state.v, state.works, work.dense_coefficients.copy()
+        return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
+
+    def _directions(self) -> Array | None:
+        """Return the directions of slip of an explicit step, see `DenseStep`."""
+        work, slips = self._dynamics.work, self._state.closed is not None and self._state.closed.slips
+        return np.array([work.start_directions, work.start_directions]) if slips else None
 
     def _attempt(self, t: float, h: float, largest: float) -> tuple[float, float, Array | None]:
         """Attempt a step of size h [s] by `work.method`, and complete it if its error is at most `largest`.
@@ -106,14 +151,14 @@ class SmoothSteps:
             The error relative to the tolerance; the time of the first event in the step [s], infinite if
             there is none, −∞ if the step has to be repeated; the directions of slip, see `DenseStep`.
         """
-        work, slips = self._dynamics.work, self._state.closed is not None and self._state.closed.slips
+        work, directions = self._dynamics.work, self._directions()
         implicit = work.method == step_dop853.IMPLICIT
         if not (implicit or self._rims):  # in one call
-            directions = np.array([work.start_directions, work.start_directions]) if slips else None
             return *smooth_motion.explicit_step(work, t, h, largest), directions
         method = step_radau if implicit else step_dop853
         error, time = method.attempt(work, t, h, work.rtol, work.atol), -math.inf
-        directions = np.array([work.start_directions, work.end_directions]) if slips else None
+        if directions is not None:
+            directions[1] = work.end_directions
         if not error > largest and not self._rims.jump(work.q0, work.q1):
             time = smooth_motion.finish(work, t, h, error)
         return error, time, directions

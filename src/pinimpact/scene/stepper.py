@@ -137,10 +137,10 @@ class Stepper:
             if not self._begun:
                 integrator.begin(tau)
                 self._begun = True
+                integrator.advance(until)
             else:
                 integrator.resume()
-                integrator.hold_force(tau)
-            integrator.advance(until)
+                integrator.advance(until, tau=tau)
         except PinimpactError as error:
             stop(integrator, error)
         self._failed = False

@@ -33,6 +33,7 @@ from .forces import StepForces
 from .integrator import Integrator
 from .joint_charts import displaced
 from .rest import Rest
+from .smooth_steps import Outcome
 from .step_energy import StepEnergy
 from .step_mass import StepMass, diverged
 from .step_taken import Near, Removal, StepTaken
@@ -106,11 +107,12 @@ class TimeStepping(Integrator):
         self._trigger_events()
         self.state.length = self._dt
 
-    def hold_force(self, tau: Array) -> None:
-        """Replace the constant generalized force (nv,) from the present time on."""
+    def hold_force(self, tau: Array, left: float) -> Outcome | None:
+        """Replace the constant generalized force; see `Integrator.hold_force`."""
         if not np.array_equal(tau, self.work.control_force):
             self._rest.wake_all()
         self.work.control_force[:] = tau
+        return None
 
     def _settle_contacts(self, arriving: Any = None) -> None:
         self._rest.wake_all()
@@ -120,7 +122,7 @@ class TimeStepping(Integrator):
         TimeStepping._settle_contacts(self)
         self._trigger_events()
 
-    def _step(self, h: float, stop: float, scale: float) -> float:
+    def _step(self, h: float, stop: float, scale: float, begun: Outcome | None = None) -> float:
         """Take one step, with the impacts in it; return the size of the next [s]."""
         state = self.state
         if self.record.keeps_steps:  # derivatives need the steps of bodies at rest too

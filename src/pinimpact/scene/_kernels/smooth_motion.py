@@ -11,16 +11,19 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign, filled
 from ..._numeric.products import apply_symmetric, dot
 from ..._numeric.tolerances import EPS
-from . import dynamics, slip, step_dop853
+from . import dynamics, slip, step_dop853, stiff_drives
 from .approach import touches
 from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP, joint_forces
 from .events.force_bound import doubtful_margin
 from .events.registry import find_first_event
 from .samples import record_sample, speed_along
-from .stiff_drives import rate_of_drives
+from .step_radau import STIFF as STIFF_SLIP
 from .tolerances import ITERATED, STILL
 from .workspace import SceneWorkspace
+
+BEYOND = 1.3
+"""Longest step, relative to the predicted duration of a bounce that has begun, or of a slip that ends."""
 
 
 @declared(SceneWorkspace, float, FLOATS, FLOATS)
@@ -42,7 +45,7 @@ def begin(work, t, q, v):
     dynamics.evaluate_anew(work, t, rates[0, n:])
     slip.turn_references(work, work.contact_velocity)
     _set_start(work)
-    work.drive_rate = rate_of_drives(work)
+    work.drive_rate = stiff_drives.rate_of_drives(work)
     guess = math.inf
     if len(gaps) == 0:
         return guess
@@ -109,10 +112,13 @@ def replace_force(work, tau):
     """
     control, jacobian, free = work.control_force, work.contact_jacobian, work.contact_acceleration
     n, modes, gaps, rates = work.nv, work.modes, work.start_gaps, work.stage_rates
-    change, response = np.empty(n), np.empty(n)
+    change, response, largest = np.empty(n), np.empty(n), 0.0
     for j in range(n):
         change[j] = tau[j] - control[j]
         control[j] = tau[j]
+        largest = max(largest, abs(change[j]))
+    if largest == 0.0:
+        return True
     if not (work.evaluated and work.forces_unique) or work.least_margin < 0.0 or work.driven > 0:
         return False
     for i in range(len(gaps)):
@@ -214,9 +220,12 @@ def finish(work, t, h, error):
             if rubs and work.certain_speed < now < before:
                 work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
-        drift, work_done = work.drift_at_end, work.dense_coefficients[0, 2 * work.nv :]
-        dissipates = work_done[1] <= 0.0 and work_done[2] <= 0.0 and not work.callback_failed
-        work.regular = dissipates and drift <= work.drift_tolerance and work.least_margin >= 0.0
+        work_done, gain, gained = work.dense_coefficients[0, 2 * work.nv :], work.end_gain, False
+        for k in range(2):
+            gain[k] = max(work.friction_gain[k] + work_done[1 + k], 0.0)
+            gained |= not gain[k] <= work.friction_tolerance
+        passes = not (gained or work.callback_failed) and work.least_margin >= 0.0
+        work.regular = passes and work.drift_at_end <= work.drift_tolerance
     elif work.event_time == -math.inf:  # the step will be repeated with a smaller size
         slip.restore_directions(work)
     return work.event_time
@@ -233,6 +242,22 @@ def explicit_step(work, t, h, largest):
     if error > largest:  # or infinite, if a call into Python has failed
         return error, -math.inf
     return error, finish(work, t, h, error)
+
+
+@declared(SceneWorkspace, FLOATS, float, float, float, result=TWO_FLOATS)
+@jit
+def step_under(work, tau, t, h, largest):
+    """Replace the constant generalized force (nv,), and take the `explicit_step` from there.
+
+    Returns the results of the step; NaN and −∞ if the motion has to be restarted, see `replace_force`;
+    infinity and −∞ if this step has to be shorter or implicit.
+    """
+    if not replace_force(work, tau):
+        return math.nan, -math.inf
+    stiff = h * work.slip_stiffness > STIFF_SLIP or h * work.drive_rate > stiff_drives.STIFF
+    if stiff or BEYOND * work.slip_ends < h:
+        return math.inf, -math.inf
+    return explicit_step(work, t, h, largest)
 
 
 @inlined
