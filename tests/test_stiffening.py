@@ -338,7 +338,7 @@ def test_fits_recover_stiffening_of_single_joints(arm):
     assert np.allclose(fit.x, [0.2, 0.9], rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("by_group", [False, True])
+@pytest.mark.parametrize("by_group", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_intervals_contain_the_true_stiffening(arm, by_group):
     scene, q, v = arm
     data, contact, repetitions = scene.model.createData(), scene.contacts[0], 60

@@ -286,5 +286,5 @@ class Alternating(TimeStepping):
         self._sample()
         self.progress.mark()
         state.cut_short, state.events_since = False, len(self.record.dense_steps)
-        work.friction_gain[:] = 0.0
+        work.end_gain[:] = 0.0
         return self.dynamics.first_length()

@@ -121,7 +121,7 @@ class HybridState:
     def copy(self, **changes: Any) -> HybridState:
         """Return a copy, with some fields changed."""
         state = object.__new__(HybridState)
-        state.__dict__.update(self.__dict__, **changes)
+        state.__dict__ = self.__dict__ | changes
         return state
 
     def assign(self, other: HybridState) -> None:

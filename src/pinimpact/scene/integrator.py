@@ -307,7 +307,6 @@ class Integrator:
         """Accept a step without an event: advance the state to its end and correct constraint drift."""
         state, work = self.state, self.work
         state.works = step.work_at(step.end)
-        work.friction_gain[:] = work.end_gain
         state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
         state.bounce = math.inf
@@ -369,8 +368,8 @@ class Integrator:
         step.end = state.t = t
         state.q, state.v = step.at(t)
         state.works = step.work_at(t)
-        gain = self.work.friction_gain
-        gain[:] = np.maximum(gain + (state.works - step.w)[FRICTION], 0.0)
+        work = self.work
+        work.end_gain[:] = np.maximum(work.start_gain + (state.works - step.w)[FRICTION], 0.0)
         self._sample()
 
     def _correct_drift(self) -> None:

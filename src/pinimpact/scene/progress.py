@@ -60,7 +60,7 @@ class Progress:
         extent, self._time_scale = sizes
         self._speed = extent / self._time_scale
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
-        self._little = instant.dynamics.work.friction_tolerance = self._weight * options.rtol * extent
+        self._little = instant.dynamics.work.gain_tolerance = self._weight * options.rtol * extent
         self._tolerance = options.rtol * extent + options.atol
 
     def mark(self) -> None:
@@ -119,7 +119,7 @@ class Progress:
         """
         state, work = self._state, self._instant.dynamics.work
         done = (step.work_at(until) - step.w)[FRICTION]
-        gained, at_once = float((work.friction_gain + done).max()), float(done.max())
+        gained, at_once = float((work.start_gain + done).max()), float(done.max())
         if not gained > self._little:
             return
         error = self._instant.dynamics.error(state.v)

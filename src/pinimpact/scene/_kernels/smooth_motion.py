@@ -187,6 +187,7 @@ def finish(work, t, h, error):
         The time of the first event [s]: infinite if there is none, −∞ if the step has to be repeated.
     """
     work.step_start, work.step_length = t, h
+    assign(work.start_gain, work.end_gain)
     work.end_margin = work.force_margin
     work.drift_at_end = constraint_drift(work, work.v1)
     velocity = work.end_velocity
@@ -222,8 +223,8 @@ def finish(work, t, h, error):
         set_growth(work, h, error)
         work_done, gain, gained = work.dense_coefficients[0, 2 * work.nv :], work.end_gain, False
         for k in range(2):
-            gain[k] = max(work.friction_gain[k] + work_done[1 + k], 0.0)
-            gained |= not gain[k] <= work.friction_tolerance
+            gain[k] = max(work.start_gain[k] + work_done[1 + k], 0.0)
+            gained |= not gain[k] <= work.gain_tolerance
         passes = not (gained or work.callback_failed) and work.least_margin >= 0.0
         work.regular = passes and work.drift_at_end <= work.drift_tolerance
     elif work.event_time == -math.inf:  # the step will be repeated with a smaller size
