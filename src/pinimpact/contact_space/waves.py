@@ -27,6 +27,10 @@ MOST_STEPS = 1000
 """Largest number of steps between two events, and per contact in all: about the cost of adaptive steps
 through the whole impact, whose number grows with the inverse fourth root of their tolerance."""
 
+MANY = 2**18
+"""Number of rows for a long impact, which is computed again: more than nearly all have. Only those that are
+filled take memory."""
+
 COARSEST = 0.1 * LITTLE
 """Largest tolerance of adaptive steps."""
 
@@ -69,7 +73,7 @@ def propagate_waves(
         )
         steps, events, used, points, ended = counts.tolist()
         if used >= len(rows):
-            rows = np.empty((4 * len(rows), 5))
+            rows = np.empty((max(MANY, 4 * len(rows)), 5))
         elif record and points >= len(path):
             path = np.empty((4 * len(path), 6 * n + 1))
         else:
