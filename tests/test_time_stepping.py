@@ -34,14 +34,12 @@ def step(scene, q0, v0, duration, dt, **options):
 def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0, solid=None):
     """Return a scene of free boxes with contacts at the floor and between successive boxes.
 
-    `solid` replaces the box by another geometry of the same shape.
+    `mass` is one number, or one of each box; `solid` replaces the box by another geometry of the same shape.
     """
     model, shapes = pin.Model(), pin.GeometryModel()
-    size = np.array(size)
-    inertia = mass / 12.0 * np.diag(np.sum(size**2) - size**2)
-    for k in range(count):
+    for k, own in enumerate(np.broadcast_to(mass, count).tolist()):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box_{k}")
-        model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(own, *size), pin.SE3.Identity())
         model.addJointFrame(joint)
         shape = solid or coal.Box(*size)
         shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), shape))

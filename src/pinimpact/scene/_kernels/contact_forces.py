@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norms
@@ -392,20 +392,27 @@ def row_tolerances(work):
 
 
 @inlined
-def apply_forces(work, acceleration, powers):
-    """Add the effect of the forces `work.solution` to v̇ (nv,); fill `contact_force` and `scalar_force`.
+def accelerate(work, acceleration):
+    """Add the effect of the forces `work.solution` to v̇ (nv,)."""
+    solution, response = work.solution, work.force_response
+    for m in range(len(solution)):
+        for j in range(len(acceleration)):
+            acceleration[j] += response[m, j] * solution[m]
+
+
+@declared(SceneWorkspace, FLOATS)
+@external
+def set_forces(work, powers):
+    """Fill `contact_force` and `scalar_force` from the forces `work.solution`.
 
     `powers` (2,) is overwritten with those of sliding friction and of moving surfaces [W]. Returns the margin
     of the forces within Coulomb's law and their bounds (11.6), with tolerances [N]; negative if one is
     violated.
     """
-    solution, response, directions = work.solution, work.force_response, work.slip_direction
+    solution, directions = work.solution, work.slip_direction
     velocity, surface = work.contact_velocity, work.surface_velocity
     mode, mu, force = work.active_mode, work.active_friction, work.contact_force
     lower, upper, scalar = work.scalar_lower, work.scalar_upper, work.scalar_force
-    for m in range(len(solution)):
-        for j in range(len(acceleration)):
-            acceleration[j] += response[m, j] * solution[m]
     row_tolerances(work)
     margin, tolerance = np.inf, work.row_tolerance
     friction_power = surface_power = 0.0

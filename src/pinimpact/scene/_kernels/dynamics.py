@@ -10,6 +10,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign, filled
+from ..._numeric.products import dot
 from ..._numeric.semidefinite import solve_definite
 from ...geometry._kernels.constants import ABSENT, KIND, RADIUS
 from ...robot._kernels import contact_kinematics, contact_motion
@@ -17,7 +18,7 @@ from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .compliant_forces import compliant_forces
 from .drives import drive
-from .tolerances import NEGLIGIBLE, SINGULAR_STILL, UNDECIDED
+from .tolerances import NEGLIGIBLE, ROUNDING, SINGULAR_STILL, UNDECIDED
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
@@ -255,6 +256,53 @@ def evaluate_anew(work, t, out):
         work.rank_tolerance = SINGULAR_STILL
 
 
+@declared(SceneWorkspace)
+@external
+def solve_equations(work):
+    """Solve (9.3); return the sign of its determinant, 0 if singular, and whether forces are shared then."""
+    system, target, orientation = work.system, work.target, 0
+    if contact_forces.slips_with_friction(work):
+        rank = RANK if work.forces_unique else SINGULAR_STILL
+        orientation = solve(system, target, work.solution, rank)
+    elif work.forces_unique:
+        orientation = 1 if solve_definite(system, target, work.solution) else 0
+    work.forces_unique = orientation != 0
+    return orientation, orientation == 0 and not contact_forces.limit_of_compliances(work)
+
+
+@inlined
+def misses(work, required, acceleration):
+    """Return whether rows times v̇ (nv,) differ from the `required` accelerations by more than rounding."""
+    found = False
+    for a in range(len(required)):
+        row, total, size = work.equation_rows[a], 0.0, max(abs(required[a]), work.gravity)
+        for j in range(len(row)):
+            part = row[j] * acceleration[j]
+            total += part
+            size = max(size, abs(part))
+        found |= abs(required[a] - total) > ROUNDING * size
+    return found
+
+
+@declared(SceneWorkspace, FLOATS, FLOATS)
+@external
+def refine(work, required, acceleration):
+    """Correct v̇ (nv,) and the forces by a solution of (9.3) for what the `required` accelerations miss.
+
+    Large forces on a light body, as between two heavy ones, nearly cancel: v̇ has their rounding errors.
+    """
+    target, solution, unique = work.target, work.solution, work.forces_unique
+    before, forces = target.copy(), solution.copy()
+    for a in range(len(target)):
+        target[a] = required[a] - dot(work.equation_rows[a], acceleration)
+    solve_equations(work)
+    contact_forces.accelerate(work, acceleration)
+    for a in range(len(target)):
+        solution[a] += forces[a]
+        target[a] = before[a]
+    work.forces_unique = unique
+
+
 @declared(SceneWorkspace, FLOATS)
 @external
 def add_forces(work, out):
@@ -273,20 +321,19 @@ def add_forces(work, out):
     if not math.isfinite(total):  # a stage of too long a step, which will be rejected
         filled(out, math.nan)
         return
-    orientation, friction = 0, contact_forces.slips_with_friction(work)
-    if friction:
-        rank = RANK if work.forces_unique else SINGULAR_STILL
-        orientation = solve(system, target, work.solution, rank)
-    elif work.forces_unique:
-        orientation = 1 if solve_definite(system, target, work.solution) else 0
-    work.forces_unique = orientation != 0
-    shared = orientation == 0 and not contact_forces.limit_of_compliances(work)
+    required, friction = np.empty(len(target)), contact_forces.slips_with_friction(work)
+    for a in range(len(target)):
+        required[a] = target[a] + dot(work.equation_rows[a], out[:n])
+    orientation, shared = solve_equations(work)
     if orientation == 0:
         work.forces_unique = not shared and not friction
-    margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
+    margin = contact_forces.set_forces(work, out[n + 2 :])
     if margin < 0.0 and shared and compliant_forces(work):
-        assign(out[:n], work.acceleration)
-        margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
+        margin = contact_forces.set_forces(work, out[n + 2 :])
+    contact_forces.accelerate(work, out[:n])
+    if misses(work, required, out[:n]):
+        refine(work, required, out[:n])
+        margin = contact_forces.set_forces(work, out[n + 2 :])
     # without friction the determinant is positive: a negative one shows that slip has passed a singularity
     jams = effective <= NEGLIGIBLE and contact_forces.accelerates_inward(work)
     work.force_margin = -math.inf if orientation < 0 or jams else margin
