@@ -164,7 +164,7 @@ def test_report_and_replay_agree_on_the_number_of_impacts(tmp_path: Path) -> Non
     motion = json.loads(re.search(r'<script id="motion" type="application/json">(.*?)</script>', page)[1])
     count = len({(one.time, *one.v_before, *one.v_after) for one in rows})  # both ends of the rod, at times
     assert len(motion["impacts"]) == count < len(rows)
-    assert f"Impacts: {count}, in {len(rows)} rows" in result.output
+    assert f"Impacts: {count} ({len(rows)} rows" in result.output
 
 
 def test_cost_reports_method_that_reaches_target_error(tmp_path: Path) -> None:
