@@ -18,7 +18,7 @@ import pinimpact
 FRICTION, RESTITUTION = 0.3, 0.4
 VELOCITY = np.array([0.8, 0.15, 0.1])  # of the tip at impact, in world axes [m/s]
 TILTS = np.radians(np.linspace(-60.0, 60.0, 241))  # 0 is a vertical wall that faces the robot
-MODES = ("slips", "sticks", "stops and slips on")
+MODES = ("slips", "sticks", "stops and slips again")
 
 
 def strike(robot, frame, tilt):

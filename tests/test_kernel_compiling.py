@@ -21,7 +21,7 @@ from rich.console import Console
 
 import pinimpact
 from pinimpact._compile import jit as decorators
-from pinimpact._compile import pool, portable
+from pinimpact._compile import pool, portable, waiting
 from pinimpact._compile.borrowing import borrowed
 from pinimpact._compile.jit import external, inlined, jit
 from pinimpact._compile.waiting import reached
@@ -554,18 +554,29 @@ def test_arrays_are_borrowed_for_the_duration_of_a_call() -> None:
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 16
 
 
-def test_message_while_compiling_appears_once(compiled: Path, first_run: FirstRun) -> None:
+def test_message_while_compiling_appears_in_the_first_run(compiled: Path, first_run: FirstRun) -> None:
     package = compiled
     assert first_run.done.stderr == ""  # compilation is too short for a message
     shutil.rmtree(package.parent / "cache")
     edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
-    message = python(package).stderr
-    assert message.count("\n") == 1
-    assert message.startswith("pinimpact: compiling kernels for impacts and scenes, which are kept")
+    lines = python(package).stderr.splitlines()
+    start = "pinimpact: compiling kernels for impacts and scenes, which are then cached"
+    assert lines
+    assert all(line.startswith(start) for line in lines)
     assert python(package).stderr == ""
     shutil.rmtree(package.parent / "cache")
     quiet = "import logging; logging.getLogger('pinimpact.compiling').setLevel('ERROR')\n"
     assert python(package, quiet + CALL).stderr == ""
+
+
+def test_message_is_repeated_for_a_longer_wait_only(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(waiting, "_announced", {})
+    for seconds in (0.5, 2.0, 1.5, 9.0, 9.0, 3.0):
+        monkeypatch.setattr(waiting, "expected", lambda *_, seconds=seconds: seconds)
+        waiting.announce([another_call], kept=True)
+    assert [message.split()[-2] for message in caplog.messages] == ["2", "9"]
 
 
 def test_estimated_wait_counts_all_reachable_kernels() -> None:
@@ -701,10 +712,10 @@ def test_command_line_shows_progress_of_compilation() -> None:
     logger = logging.getLogger("pinimpact.compiling")
     shown: list[str] = []
     with compiling_shown(Console(force_terminal=True), shown.append):
-        logger.warning("%s: up to about %d s", "compiling", 25)
+        logger.warning("%s: about %d s", "compiling", 25)
         logger.info("compiling, once: %d of %d", 3, 9)
     logger.info("nobody listens any more")
-    assert shown == ["compiling: up to about 25 s", "compiling, once: 3 of 9, up to about 25 s"]
+    assert shown == ["compiling: about 25 s", "compiling, once: 3 of 9, about 25 s"]
     with compiling_shown(Console(force_terminal=False), shown.append):
         logger.info("where no bar is seen, the logger goes on as it does")
     assert len(shown) == 2

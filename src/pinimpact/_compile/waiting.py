@@ -1,8 +1,9 @@
 """Messages about the compilation of kernels, with their purpose and the estimated time.
 
-The logger "pinimpact.compiling" logs one warning for impacts and one for scenes, so that the message is
-visible without configuration of logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")``
-silences it. At the level INFO it counts the kernels of `jit.compile_all`.
+The logger "pinimpact.compiling" logs one warning for impacts and one for scenes, and another one if a
+longer compilation follows. They are visible without configuration of logging;
+``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences them. At the level INFO it counts
+the kernels of `jit.compile_all`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ BYTES_PER_SECOND = 5500
 SHORT = 1.0
 """Estimated compilation time below which there is no message [s]."""
 
-_announced: set[str] = set()
+_announced: dict[str, float] = {}
+"""The longest time reported for each purpose [s]."""
 
 
 def expected(kernels: Iterable[Any], processes: int = 1) -> float:
@@ -43,15 +45,16 @@ def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
     modules = {kernel.py_func.__module__ for kernel in kernels}
     purpose = SCENES if any(one.startswith(f"{PACKAGE}.scene.") for one in modules) else IMPACTS
     seconds = expected(kernels, processes)
-    if purpose in _announced or seconds < SHORT:
+    if seconds < SHORT or seconds <= _announced.get(purpose, 0.0):
         return
-    _announced.update((purpose, IMPACTS))  # kernels of scenes include those of impacts
+    for included in {purpose, IMPACTS}:  # kernels of scenes include those of impacts
+        _announced[included] = max(seconds, _announced.get(included, 0.0))
     often = (
-        "which are kept and not compiled again on this machine (`pinimpact warmup` compiles all others too)"
+        "which are then cached (`pinimpact warmup` compiles all in advance)"
         if kept
         else "in every process, because no cache folder is writable (see NUMBA_CACHE_DIR)"
     )
-    LOG.warning("%s: compiling kernels for %s, %s: up to about %.0f s", *(PACKAGE, purpose, often, seconds))
+    LOG.warning("%s: compiling kernels for %s, %s: about %.0f s", *(PACKAGE, purpose, often, seconds))
 
 
 def reached(kernels: Iterable[Any]) -> set[FunctionType]:

@@ -220,12 +220,12 @@ def _stepped(trajectory: Trajectory, shown: int | None) -> list[RenderableType]:
 def _counts(records: Sequence[ImpactRecord]) -> str:
     """Return the number of impacts, as a replay counts them, and that of their records if it differs."""
     count = len(by_impact(records))
-    rows = "" if count == len(records) else f", in {len(records)} rows, one for each contact or limit"
+    rows = "" if count == len(records) else f" ({len(records)} rows, one for each contact or limit)"
     return f"{count}{rows}"
 
 
 def _cut(rows: Sequence[Any], shown: int | None) -> str:
-    return f", the first {shown}; --all shows all" if shown is not None and len(rows) > shown else ""
+    return f"; first {shown} rows, --all shows all" if shown is not None and len(rows) > shown else ""
 
 
 def _impact_row(impact: ImpactRecord) -> tuple[Any, ...]:

@@ -45,7 +45,9 @@ class Contact:
         frame: Frame of the point, by name or id; empty with `geometry`.
         plane: The surface, required: a `Plane` or a `Sphere`, with `geometry` also a `Box` or a `Shape`.
         friction: Coulomb coefficient μ ≥ 0 of impacts, and of sustained contact without `sliding_friction`.
-        restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
+            0 by default.
+        restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s]. 0 by
+            default: the bodies do not rebound.
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
         offset: Position relative to the frame's origin, in the frame's axes [m].
         radius: Radius of a spherical tip [m], 0 for a point.

@@ -56,14 +56,17 @@ def load_robot(
             folder, its parents, and those of the environment variable ROS_PACKAGE_PATH.
 
     Returns:
-        Pinocchio's RobotWrapper; ``q0`` is the configuration of a named robot, or of an MJCF file its key
-        "home", or else its first key, or else that of its bodies; else `pin.neutral`. Warnings name meshes
-        that are not found, whose shapes are left out, and in what the robot of an MJCF file differs from
-        MuJoCo's, if MuJoCo is installed.
+        Pinocchio's RobotWrapper. For a named robot ``q0`` is the configuration that is supplied with it, for
+        a URDF file `pin.neutral`. For an MJCF file it is the key "home", or the first key, or without keys
+        the configuration of the bodies in the file.
 
     Raises:
         UnknownNameError: There is no robot of that name; the message suggests similar names.
         ModelError: The file is missing or invalid, a mass is negative, or the robot has no inertia.
+
+    Warns:
+        UserWarning: Meshes that are not found, whose shapes are left out. If MuJoCo is installed, also the
+            differences between the robot of an MJCF file and the one that MuJoCo loads.
     """
     package_dirs = _checked(robot, package_dirs, free_flyer, mimic)
     models = bundled_models()
@@ -148,7 +151,7 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
     if path.is_dir():
         raise ModelError(f"robot: {path} is a folder; give a file in it", value=str(path))
     if not path.is_file():
-        raise ModelError(f"robot: there is no file {path}", value=str(path))
+        raise ModelError(f"robot: there is no file {path.absolute()}", value=str(path))
     root_joint = (pin.JointModelFreeFlyer(),) if free_flyer else ()
     kind = _kind_of(path)
     if kind == "mujoco":
