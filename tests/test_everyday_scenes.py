@@ -341,6 +341,17 @@ def test_light_box_between_heavy_ones_rests_in_few_steps(light):
         np.testing.assert_allclose(held[2], masses[k:].sum() * G, rtol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
+def test_heavy_box_that_has_fallen_on_a_light_one_rests_in_few_steps():
+    """The inverse inertias of the heavy box are 10⁻⁷ of those of the light one, and not zero."""
+    q0 = np.array([0, 0, 0.05, *UP, 0, 0, 0.3, *UP])
+    scene = boxes(2, (0.1, 0.1, 0.1), [1e-3, 1e3], restitution=0.3)
+    run = simulate(scene, q0, np.zeros(12), 0.3, scheme="event-driven")
+    assert run.statistics["steps"] < 30
+    q0[9] = 0.15
+    np.testing.assert_allclose(run.q[-1], q0, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 @pytest.mark.parametrize("press", [1.0, 1e3])
 def test_box_pressed_by_far_more_than_its_weight_stays(press, weight):

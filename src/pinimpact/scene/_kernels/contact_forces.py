@@ -321,19 +321,18 @@ def slips_with_friction(work):
 
 @inlined
 def relative_residual(work, x):
-    """Return the largest residual of (9.3) at forces x, relative to the terms of its contact or joint."""
+    """Return the largest residual of (9.3) at forces x, relative to the acceleration of its contact or joint.
+
+    It is not relative to the effects of the forces, which are large on light bodies and nearly cancel.
+    """
     system, target, modes = work.system, work.target, work.active_mode
     worst, a = 0.0, 0
     for k in range(len(modes) + len(work.scalar_velocity)):
-        missed, most = 0.0, LEAST_SIZE
+        missed, most = 0.0, max(LEAST_SIZE, work.gravity)
         for _ in range(3 if k < len(modes) and modes[k] != SLIP else 1):
-            missing, parts = -target[a], abs(target[a])
-            for b in range(len(x)):
-                part = system[a, b] * x[b]
-                missing += part
-                parts += abs(part)
+            missing = dot(system[a], x) - target[a]
             missed = max(missed, abs(missing)) if missing == missing else math.inf
-            most = max(most, parts)
+            most = max(most, abs(target[a]))
             a += 1
         worst = max(worst, missed / most)
     return worst
