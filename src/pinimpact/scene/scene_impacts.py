@@ -263,6 +263,8 @@ class SceneImpacts:
         Raises:
             IrregularMotionError: It is refused, see `refuses`: its waves are not resolved.
         """
+        if not touching:
+            return None
         every, matrices = self._matrices(q, touching)
         velocity = matrices.velocity(v)
         velocity[:, 2] = np.minimum(velocity[:, 2], 0.0)

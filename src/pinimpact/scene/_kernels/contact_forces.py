@@ -16,7 +16,7 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign
 from ..._numeric.products import apply_symmetric, dot, products
-from ..._numeric.tolerances import ROUNDOFF, TINY
+from ..._numeric.tolerances import NOISE, ROUNDOFF, TINY
 from .tolerances import (
     FINEST,
     LEAST_SIZE,
@@ -62,7 +62,7 @@ def joint_forces(work, powers):
 
 @inlined
 def set_up_equations(work, acceleration):
-    """Fill `equation_rows`, `force_response`, `system` and `target` of (9.3) for the active set.
+    """Fill the equations (9.3) of the active set: `equation_rows` to `target` of the workspace.
 
     The workspace has M⁻¹ and the motion of the active contacts without contact forces; `acceleration` (nv,)
     is the corresponding v̇. Returns the smallest ratio, over the slipping contacts, of the effective inverse
@@ -71,7 +71,7 @@ def set_up_equations(work, acceleration):
     minverse, jacobian, free = work.minverse, work.contact_jacobian, work.contact_acceleration
     mode, mu, directions = work.active_mode, work.active_friction, work.slip_direction
     rows, response, system, target = work.equation_rows, work.force_response, work.system, work.target
-    index = work.scalar_velocity
+    index, inverse = work.scalar_velocity, work.inverse_inertia
     n, size = len(acceleration), len(rows)
     column, alone = np.empty(n), np.empty(n)
     least = 1.0
@@ -80,24 +80,21 @@ def set_up_equations(work, acceleration):
         if mode[i] == SLIP:
             s1, s2 = slip_direction(work.contact_velocity[i], work.slip_reference[i], work.direction_speed)
             directions[i, 0], directions[i, 1] = s1, s2
-            plain = effective = 0.0
             for j in range(n):
                 rows[m, j] = jacobian[i, 2, j]
                 column[j] = rows[m, j] - mu[i] * (s1 * jacobian[i, 0, j] + s2 * jacobian[i, 1, j])
             apply_symmetric(minverse, rows[m], alone)
             apply_symmetric(minverse, column, response[m])
-            for j in range(n):
-                effective += rows[m, j] * response[m, j]
-                plain += rows[m, j] * alone[j]
-            if plain > 0.0:
-                least = min(least, effective / plain)
+            inverse[m] = dot(rows[m], alone)
+            if inverse[m] > 0.0:
+                least = min(least, dot(rows[m], response[m]) / inverse[m])
             target[m] = -free[i, 2]
             m += 1
         else:
             for d in range(3):
                 assign(rows[m], jacobian[i, d])
                 apply_symmetric(minverse, rows[m], response[m])
-                target[m] = -free[i, d]
+                inverse[m], target[m] = dot(rows[m], response[m]), -free[i, d]
                 m += 1
     for i in range(len(index)):
         metres = work.joint_metres[index[i]]
@@ -105,16 +102,14 @@ def set_up_equations(work, acceleration):
             rows[m, j] = 0.0
             response[m, j] = metres * minverse[j, index[i]]
         rows[m, index[i]] = metres
-        target[m] = -metres * acceleration[index[i]]
+        inverse[m], target[m] = metres * response[m, index[i]], -metres * acceleration[index[i]]
         m += 1
     products(rows, response, system)
     largest = 0.0
     for a in range(size):
         largest = max(largest, abs(system[a, a]))
     for a in range(size):
-        if (
-            abs(system[a, a]) <= ROUNDOFF * largest
-        ):  # no force moves this row (out of the plane of a planar robot)
+        if abs(system[a, a]) <= ROUNDOFF * largest:  # no force moves it (out of the plane of a planar robot)
             for b in range(size):
                 system[a, b] = system[b, a] = 0.0
             system[a, a] = largest
@@ -137,7 +132,7 @@ def accelerates_inward(work):
 
     The rows of sticking contacts, joint stops and held joints, which may be redundant, are eliminated first.
     """
-    mode, system, rows, size = work.active_mode, work.system, work.equation_rows, len(work.target)
+    mode, system, size = work.active_mode, work.system, len(work.target)
     held, slips = np.empty(size, dtype=np.int64), np.empty(len(mode), dtype=np.int64)
     row = holding = slipping = 0
     for k in range(len(mode)):
@@ -157,16 +152,15 @@ def accelerates_inward(work):
             part[a, b] = system[held[a], held[b]]
         for k in range(slipping):
             given[k, a] = system[slips[k], held[a]]
-    answer, alone = np.zeros((slipping, holding)), np.empty(rows.shape[1])
+    answer = np.zeros((slipping, holding))
     if holding > 0:
-        least_norms(part, given, FINEST, answer, np.empty((0, holding)))
+        least_norms(part, given, NOISE, answer, np.empty((0, holding)))
     free, plain, count = np.empty(slipping, dtype=np.int64), np.empty(slipping), 0
     for k in range(slipping):
-        apply_symmetric(work.minverse, rows[slips[k]], alone)
-        whole = remainder = dot(rows[slips[k]], alone)
+        whole = remainder = work.inverse_inertia[slips[k]]
         for a in range(holding):
             remainder -= answer[k, a] * given[k, a]
-        if remainder > FINEST * whole:  # else the row depends on the eliminated ones: no force moves it
+        if remainder > NOISE * whole:  # else the row depends on the eliminated ones: no force moves it
             free[count], plain[count] = k, remainder
             count += 1
     effective = np.empty((count, count))
@@ -230,17 +224,15 @@ def solve_redundant(work, system, rights, found, null):
     Returns:
         The rank.
     """
-    rows, size, largest = work.equation_rows, len(system), 0.0
-    d, alone, scaled, sides = np.empty(size), np.empty(work.nv), np.empty((size, size)), rights.copy()
-    for a in range(size):
-        apply_symmetric(work.minverse, rows[a], alone)
-        d[a] = max(dot(rows[a], alone), system[a, a])  # of a row that no force moves: see `set_up_equations`
+    size, largest, d, scaled, sides = len(system), 0.0, np.empty(len(system)), system.copy(), rights.copy()
+    for a in range(size):  # the diagonal entry is larger for rows that no force moves
+        d[a] = max(work.inverse_inertia[a], system[a, a])
         largest = max(largest, d[a])
     for a in range(size):
         d[a] = 1.0 / math.sqrt(max(d[a], ROUNDOFF * largest, TINY))
     for a in range(size):
         for b in range(size):
-            scaled[a, b] = d[a] * system[a, b] * d[b]
+            scaled[a, b] *= d[a] * d[b]
         for side in sides:
             side[a] *= d[a]
     rank = least_norms(scaled, sides, work.rank_tolerance, found, null)
