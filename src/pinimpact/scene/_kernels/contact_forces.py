@@ -14,8 +14,8 @@ from ..._compile.declared import FLOAT_ROWS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norms
-from ..._numeric.loops import assign
-from ..._numeric.products import apply_symmetric, dot, products
+from ..._numeric.loops import assign, filled, largest_diagonal
+from ..._numeric.products import add, apply_symmetric, dot, products
 from ..._numeric.tolerances import NOISE, ROUNDOFF, TINY
 from .tolerances import (
     FINEST,
@@ -105,9 +105,7 @@ def set_up_equations(work, acceleration):
         inverse[m], target[m] = metres * response[m, index[i]], -metres * acceleration[index[i]]
         m += 1
     products(rows, response, system)
-    largest = 0.0
-    for a in range(size):
-        largest = max(largest, abs(system[a, a]))
+    largest = largest_diagonal(system)
     for a in range(size):
         if abs(system[a, a]) <= ROUNDOFF * largest:  # no force moves it (out of the plane of a planar robot)
             for b in range(size):
@@ -157,9 +155,8 @@ def accelerates_inward(work):
         least_norms(part, given, NOISE, answer, np.empty((0, holding)))
     free, plain, count = np.empty(slipping, dtype=np.int64), np.empty(slipping), 0
     for k in range(slipping):
-        whole = remainder = work.inverse_inertia[slips[k]]
-        for a in range(holding):
-            remainder -= answer[k, a] * given[k, a]
+        whole = work.inverse_inertia[slips[k]]
+        remainder = whole - dot(answer[k], given[k])
         if remainder > NOISE * whole:  # else the row depends on the eliminated ones: no force moves it
             free[count], plain[count] = k, remainder
             count += 1
@@ -200,8 +197,8 @@ def may_grow(effective):
         if minors < -NEGLIGIBLE * scale:
             return True
         for k in range(n):
-            for m in range(n):
-                power[k, m] = -product[k, m]
+            filled(power[k], 0.0)
+            add(power[k], -1.0, product[k])
             power[k, k] += minors
     return False
 
@@ -240,13 +237,30 @@ def solve_redundant(work, system, rights, found, null):
         for a in range(size):
             x[a] *= d[a]
     for k in range(min(size - rank, len(null))):
-        square = 0.0
         for a in range(size):
             null[k, a] *= d[a]
-            square += null[k, a] ** 2
+        length = math.sqrt(dot(null[k], null[k]))
         for a in range(size):
-            null[k, a] /= math.sqrt(square)
+            null[k, a] /= length
     return rank
+
+
+@declared(SceneWorkspace, FLOAT_ROWS)
+@external
+def add_reactions(work, effects):
+    """Add to accelerations (k, nv) those of the forces that keep the active rows from accelerating."""
+    rows, response, size, count = work.equation_rows, work.force_response, len(work.target), len(effects)
+    targets, reactions, no_basis = np.empty((count, size)), np.empty((count, size)), np.empty((0, size))
+    for c in range(count):
+        for m in range(size):
+            targets[c, m] = -dot(rows[m], effects[c])
+    if size > 0 and work.forces_unique:
+        least_norms(work.system, targets, RANK, reactions, no_basis)
+    elif size > 0:
+        solve_redundant(work, work.system, targets, reactions, no_basis)
+    for c in range(count):
+        for m in range(size):
+            add(effects[c], reactions[c, m], response[m])
 
 
 @declared(SceneWorkspace)
@@ -296,8 +310,7 @@ def limit_of_compliances(work):
             overlap[a, b] = dot(left_null[a], right_null[b])
     if solve(overlap, right, part, RANK) != 0:
         for a in range(free):
-            for b in range(size):
-                x[b] += part[a] * right_null[a, b]
+            add(x, part[a], right_null[a])
     return False
 
 
@@ -396,8 +409,7 @@ def apply_forces(work, acceleration, powers):
     mode, mu, force = work.active_mode, work.active_friction, work.contact_force
     lower, upper, scalar = work.scalar_lower, work.scalar_upper, work.scalar_force
     for m in range(len(solution)):
-        for j in range(len(acceleration)):
-            acceleration[j] += response[m, j] * solution[m]
+        add(acceleration, solution[m], response[m])
     row_tolerances(work)
     margin, tolerance = np.inf, work.row_tolerance
     friction_power = surface_power = 0.0

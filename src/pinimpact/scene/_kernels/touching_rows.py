@@ -14,7 +14,7 @@ from ..._compile.declared import FLOAT_ROWS, FloatRows, Floats, Integers, declar
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
-from ..._numeric.loops import assign, nonzero
+from ..._numeric.loops import assign, largest_diagonal, nonzero
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import RANK, ROUNDOFF
 from .acting_forces import find_forces
@@ -133,9 +133,7 @@ def determines_forces(delassus):
     """Return whether the Delassus matrix (m, m) is regular, apart from rows that no force moves."""
     size = len(delassus)
     rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)), RANK)
-    stiffest = 0.0
-    for a in range(size):
-        stiffest = max(stiffest, delassus[a, a])
+    stiffest = largest_diagonal(delassus)
     for a in range(size):
         rank += delassus[a, a] <= ROUNDOFF * stiffest
     return rank == size
