@@ -14,6 +14,7 @@ from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.contact_space.jam_growth import growing_indentations
 from pinimpact.errors import IrregularMotionError
 from pinimpact.geometry.surfaces import contact_axes
+from pinimpact.scene.instant import Instant
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 
@@ -488,3 +489,12 @@ def test_held_contacts_that_begin_to_contradict_each_other_raise_an_error(scheme
     held = [Contact("tip0", Plane(velocity=(1.0, 0.0, 0.0))), Contact("tip1", turntable)]
     with pytest.raises(IrregularMotionError, match=reason):
         simulate(Scene(model, held=held), pin.neutral(model), [1.0, 0, 0, 0, 0, 0], 0.1, scheme=scheme)
+
+
+def test_impacts_without_collision_that_do_not_end_raise_an_error(monkeypatch):
+    """No motion is known in which they do not end: here modes are never found, and impacts change nothing."""
+    monkeypatch.setattr(Instant, "_set_modes", lambda *_: (-1, False))
+    monkeypatch.setattr(Instant, "_without_forces", lambda *_: [{"source": "tip"}])
+    scene = Scene(planar_rod(), [Contact("tip", Plane(), friction=MU)])
+    with pytest.raises(IrregularMotionError, match="10 impacts without collision at t = 0 s do not end"):
+        simulate(scene, *pushed_rod(0.3, 3.0), 0.1, scheme="event-driven")

@@ -203,7 +203,7 @@ def forces_of_order(system, state, series, k, root, closed):
         normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
         if loads(mode):
             if hertz:
-                normal = system.stiffness[j] * _power(series, system.exponent, k, j, root)
+                normal = system.stiffness[j] * _power(series, system.exponent, k, j)
             else:
                 normal = system.stiffness[j] * series.indentation[k, j]
         force[k, p + 2] = normal
@@ -377,7 +377,7 @@ def _direction(series, k, j):
 
 
 @inlined
-def _power(series, exponent, k, j, root):
+def _power(series, exponent, k, j):
     """Return the coefficient k of δ^η, for δ(0) > 0 or, in τ, for δ of order τ²."""
     indentation, power = series.indentation, series.power
     if indentation[0, j] > 0.0:

@@ -373,12 +373,6 @@ def mass_at_contact(work, i):
 
 
 @inlined
-def mass_at_joint(work, j):
-    """Return the mass of the tree of the joint with velocity j [kg]."""
-    return work.tree_mass[work.velocity_joint[j]]
-
-
-@inlined
 def row_tolerances(work):
     """Fill `row_tolerance`, the forces of the active rows that are taken as zero."""
     mode, index, found = work.active_mode, work.active_index, work.row_tolerance
@@ -391,7 +385,7 @@ def row_tolerances(work):
         if i < len(mode):
             mass = mass_at_contact(work, index[i])
         else:
-            mass = mass_at_joint(work, work.scalar_velocity[i - len(mode)])
+            mass = work.tree_mass[work.velocity_joint[work.scalar_velocity[i - len(mode)]]]
         for b in range(last - rows, last):
             found[b] = negligible_force(work, mass, system[a, a], response[a], system[a], solution)
 

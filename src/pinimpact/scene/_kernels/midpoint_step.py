@@ -477,7 +477,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
         again = np.empty(n), np.empty(found.course.shape), begin.copy(), np.empty(nv)
         given = SOFTEST, SETTLED, again[2], again[3], again[0], again[1]
         residual = max(residual, step_impulses(problem, active, system.tree, *given))
-        replace_struck(rows, system, found, begin, change, again)
+        replace_struck(rows, found, begin, change, again)
         add_change(work, system, change, v_end)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:

@@ -134,8 +134,13 @@ def set_stage(work, i, h):
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
     n, weights = len(v0), STEPS[work.method, i]
     for m in range(n):
-        xi[m] = h * dot(rates[:i, m], weights)
-        v[m] = v0[m] + h * dot(rates[:i, n + m], weights)
+        a = b = 0.0  # independent sums, which is faster
+        for j in range(i):
+            c = weights[j]
+            a += c * rates[j, m]
+            b += c * rates[j, n + m]
+        xi[m] = h * a
+        v[m] = v0[m] + h * b
     advance(work.joint_charts, work.q0, xi, work.q)
     chart_rate(work.joint_charts, xi, v, rates[i, :n])
 
@@ -150,7 +155,10 @@ def error_norm(h, weights, rates, tree, v0, v1, sizes, rtol, atol):
     e3 = e5 = 0.0
     for half in range(2):
         for m in range(half * n + first, half * n + stop):
-            a, b = dot(rates[:, m], weights[0]), dot(rates[:, m], weights[1])
+            a = b = 0.0
+            for j in range(len(rates)):
+                a += weights[0, j] * rates[j, m]
+                b += weights[1, j] * rates[j, m]
             size = sizes[m] if half == 0 else max(abs(v0[m - n]), abs(v1[m - n]))
             scale = 1.0 / (atol + rtol * size)
             e3 += (a * scale) ** 2
