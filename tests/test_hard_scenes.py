@@ -12,7 +12,9 @@ from scipy.optimize import brentq
 
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.contact_space.jam_growth import growing_indentations
+from pinimpact.errors import IrregularMotionError
 from pinimpact.geometry.surfaces import contact_axes
+from pinimpact.scene.instant import Instant
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 
@@ -474,3 +476,25 @@ def test_unloaded_contact_separates_though_it_could_stay_active():
     angle = np.pi / 3.0
     trajectory = run(scene, [0.0, np.sin(angle), angle], np.zeros(3), 0.1)
     np.testing.assert_allclose(trajectory.q[-1], [0.05, np.sin(angle) + 0.005, angle], atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+@pytest.mark.parametrize(
+    ("scheme", "reason"), [("event-driven", "contradict each other"), ("auto", "contact problem")]
+)
+def test_held_contacts_that_begin_to_contradict_each_other_raise_an_error(scheme, reason):
+    """A belt carries one point on, while a turntable, at first as fast, carries another about its axis."""
+    model = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(0, 0, 0), (0.5, 0, 0)])
+    turntable = Plane(point=(0.5, -1.0, 0.0), angular_velocity=(0.0, 0.0, -1.0))
+    held = [Contact("tip0", Plane(velocity=(1.0, 0.0, 0.0))), Contact("tip1", turntable)]
+    with pytest.raises(IrregularMotionError, match=reason):
+        simulate(Scene(model, held=held), pin.neutral(model), [1.0, 0, 0, 0, 0, 0], 0.1, scheme=scheme)
+
+
+def test_impacts_without_collision_that_do_not_end_raise_an_error(monkeypatch):
+    """No motion is known in which they do not end: here modes are never found, and impacts change nothing."""
+    monkeypatch.setattr(Instant, "_set_modes", lambda *_: (-1, False))
+    monkeypatch.setattr(Instant, "_without_forces", lambda *_: [{"source": "tip"}])
+    scene = Scene(planar_rod(), [Contact("tip", Plane(), friction=MU)])
+    with pytest.raises(IrregularMotionError, match="10 impacts without collision at t = 0 s do not end"):
+        simulate(scene, *pushed_rod(0.3, 3.0), 0.1, scheme="event-driven")

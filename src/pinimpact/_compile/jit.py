@@ -215,13 +215,8 @@ def _all_kept(needed: Sequence[Job]) -> Callable[[], bool]:
     left = list(needed)
 
     def all_kept() -> bool:
-        while left and _is_kept(left[-1]):
+        while left and kernel_of(left[-1])._cache.knows(left[-1].types):
             left.pop()
         return not left
 
     return all_kept
-
-
-def _is_kept(job: Job) -> bool:
-    kernel: Any = kernel_of(job)
-    return kernel._cache.knows(job.types)

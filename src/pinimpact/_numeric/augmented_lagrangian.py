@@ -21,7 +21,8 @@ from .augmented_newton import (
     rates,
     solve_compliances,
 )
-from .loops import assign, filled
+from .loops import assign, filled, largest
+from .products import add
 from .profile import apply_within
 from .tolerances import RANK, STALLED, TINY
 
@@ -86,13 +87,11 @@ def residual_of(problem, diagonal, x, now):
     """
     w, u, f, momentum, _, _ = now
     values, columns, counts = problem.values, problem.columns, problem.counts
-    for a in range(len(w)):
-        momentum[a] = 0.0
+    filled(momentum, 0.0)
     add_transposed(values, columns, counts, x, momentum)
     apply_within(problem.inverse, problem.start, momentum, w)
     rates(values, columns, counts, w, u)
-    for a in range(len(u)):
-        u[a] += problem.free[a]
+    add(u, 1.0, problem.free)
     impulses(problem.law, u, x, diagonal, f)
     worst = total = 0.0
     for a in range(len(u)):
@@ -190,9 +189,8 @@ def solve_velocities(problem, part, accuracy, begin, w, x, course):
     n, m, size = len(free), len(w), 0.0
     diagonal, r, f = np.empty(n), np.empty(n), np.empty(n)
     fill_compliances(problem, part, diagonal, r)
-    for a in range(n):
-        x[a] = 0.0
-        size = max(size, abs(free[a]))
+    filled(x, 0.0)
+    size = largest(free)
     for i in range(len(least)):
         size = max(size, diagonal[3 * i + 2] * least[i])
     if size * size < TINY:  # or else squares of velocities underflow

@@ -27,7 +27,7 @@ from .._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import filled, flags
-from .products import dot
+from .products import add, dot
 from .profile import apply_within, eliminate_profile, substitute_profile
 from .tolerances import TINY
 
@@ -229,8 +229,7 @@ def evaluate(problem, r, before, now):
     w, u, f, momentum, out, scale = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
-    for a in range(len(u)):
-        u[a] += free[a]
+    add(u, 1.0, free)
     impulses(law, u, before, r, f)
     apply_within(mass, start, w, momentum)
     for a in range(len(out)):
@@ -335,6 +334,5 @@ def solve_compliances(problem, profile, r, before, least, now, system, factored)
             share = length_of_step(problem, r, before, now, du, dot(d, momentum), dot(d, md))
             if share > 0.0:
                 break
-        for a in range(m):
-            w[a] += share * d[a]
+        add(w, share, d)
     return factored, error <= RESOLVED * least

@@ -27,7 +27,7 @@ from .augmented_lagrangian import FINER, ITERATIONS, QUICK, fill_compliances, it
 from .augmented_newton import Law, VelocityProblem, add_transposed, find_profile, solve_compliances
 from .elimination import solve
 from .least_norm import least_norm
-from .loops import assign, filled, ones, repeated
+from .loops import assign, filled, largest_diagonal, ones, repeated
 from .products import apply
 from .semidefinite import factor
 from .tolerances import COMPUTED, EXACT, HALF_DIGITS, RANK, ROUNDING, ROUNDOFF, SMALL, UNDETERMINED
@@ -249,9 +249,7 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
         The unit max |d u_free|; if it is zero the last two are not filled.
     """
     size = len(free)
-    largest = unit = 0.0
-    for a in range(size):
-        largest = max(largest, delassus[a, a])
+    largest, unit = largest_diagonal(delassus), 0.0
     for i in range(contacts):
         softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
         softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
@@ -307,9 +305,8 @@ def linearize(problem, x, a_now, scale_a, scale_f, system, right):
     mu, velocity, least, most, held, lower, upper = law
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
-    for a in range(size):
-        for b in range(size):
-            system[a, b] = 0.0
+    for row in system:
+        filled(row, 0.0)
     for i in range(nc):
         b = 3 * i
         fn, an = x[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]

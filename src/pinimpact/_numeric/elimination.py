@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
-from .._compile.jit import external, inlined
+from .._compile.jit import external
+from .loops import largest
+from .products import add
 from .tolerances import RANK as RANK  # re-exported
 
 
@@ -22,19 +24,19 @@ def solve(system, target, solution, rank):
     order = np.empty(size, dtype=np.int64)
     for k in range(size):
         order[k] = k
-    largest = 0.0
+    most = 0.0
     sign = 1
     for k in range(size):
         pivot, row, col = 0.0, k, k
         for a in range(k, size):
-            found = largest_of(matrix[a], k)
+            found = largest(matrix[a, k:])
             if found > pivot:
                 pivot, row = found, a
         for b in range(size - 1, k - 1, -1):
             if abs(matrix[row, b]) == pivot:
                 col = b
-        largest = max(largest, pivot)
-        if not pivot > rank * largest:
+        most = max(most, pivot)
+        if not pivot > rank * most:
             return 0
         if (matrix[row, col] < 0.0) != ((row != k) != (col != k)):
             sign = -sign
@@ -48,8 +50,7 @@ def solve(system, target, solution, rank):
             order[k], order[col] = order[col], order[k]
         for a in range(k + 1, size):
             factor = matrix[a, k] / matrix[k, k]
-            for b in range(k + 1, size):
-                matrix[a, b] -= factor * matrix[k, b]
+            add(matrix[a, k + 1 :], -factor, matrix[k, k + 1 :])
             right[a] -= factor * right[k]
     for k in range(size - 1, -1, -1):
         total = right[k]
@@ -57,17 +58,3 @@ def solve(system, target, solution, rank):
             total -= matrix[k, b] * solution[order[b]]
         solution[order[k]] = total / matrix[k, k]
     return sign
-
-
-@inlined
-def largest_of(row, first):
-    """Return the largest |row[b]| with b ≥ first; even and odd columns are independent, which is faster."""
-    even = odd = 0.0
-    for b in range(first, len(row) - 1, 2):
-        x, y = abs(row[b]), abs(row[b + 1])
-        even = x if x > even else even
-        odd = y if y > odd else odd
-    if (len(row) - first) % 2 == 1:
-        x = abs(row[len(row) - 1])
-        even = x if x > even else even
-    return odd if odd > even else even

@@ -14,7 +14,8 @@ import numpy as np
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
-from .loops import assign
+from .loops import assign, filled
+from .products import add, dot
 
 
 @inlined
@@ -83,36 +84,24 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
             sums[j] *= scale
         for i in range(k, m):
             part = r[i, k]
-            for j in range(k + 1, n):
-                r[i, j] += sums[j] * part
+            add(r[i, k + 1 :], part, sums[k + 1 :])
         for b in rights:
-            total = 0.0
-            for i in range(k, m):
-                total += r[i, k] * b[i]
-            total *= scale
-            for i in range(k, m):
-                b[i] += total * r[i, k]
+            add(b[k:], scale * dot(r[k:, k], b[k:]), r[k:, k])
         r[k, k] = pivot
         rank += 1
     # reflections from the right transform [R₁₁ R₁₂] to [T 0], from the last row up; each acts on one diagonal
     # entry and the columns after the rank
     for k in range(rank - 1, -1, -1):
-        length = r[k, k] * r[k, k]
-        for j in range(rank, n):
-            length += r[k, j] * r[k, j]
+        length = r[k, k] * r[k, k] + dot(r[k, rank:], r[k, rank:])
         length = math.copysign(math.sqrt(length), -r[k, k])
         head = r[k, k] - length
         factor[k] = head
         scale = 1.0 / (length * head)
         r[k, k] = length
         for i in range(k):
-            total = r[i, k] * head
-            for j in range(rank, n):
-                total += r[i, j] * r[k, j]
-            total *= scale
+            total = scale * (r[i, k] * head + dot(r[i, rank:], r[k, rank:]))
             r[i, k] += total * head
-            for j in range(rank, n):
-                r[i, j] += total * r[k, j]
+            add(r[i, rank:], total, r[k, rank:])
     return rank
 
 
@@ -121,13 +110,10 @@ def rotate_back(matrix, rank, order, factor, y, x):
     """Fill x (n,) with Π Z y, for the result of `decompose`; y (n,) is overwritten."""
     n = len(y)
     for k in range(rank):
-        total = y[k] * factor[k]
-        for j in range(rank, n):
-            total += y[j] * matrix[k, j]
+        total = y[k] * factor[k] + dot(y[rank:], matrix[k, rank:])
         total /= matrix[k, k] * factor[k]
         y[k] += total * factor[k]
-        for j in range(rank, n):
-            y[j] += total * matrix[k, j]
+        add(y[rank:], total, matrix[k, rank:])
     for k in range(n):
         x[order[k]] = y[k]
 
@@ -141,17 +127,12 @@ def least_norms(matrix, rights, rank_tolerance, found, null):
     order, factor = np.empty(n, dtype=np.int64), np.empty(min(m, n))
     rank = decompose(r, sides, rank_tolerance, order, factor)
     for c in range(len(sides)):
-        for j in range(n):
-            y[j] = 0.0
+        filled(y, 0.0)
         for k in range(rank - 1, -1, -1):
-            total = sides[c, k]
-            for j in range(k + 1, rank):
-                total -= r[k, j] * y[j]
-            y[k] = total / r[k, k]
+            y[k] = (sides[c, k] - dot(r[k, k + 1 : rank], y[k + 1 : rank])) / r[k, k]
         rotate_back(r, rank, order, factor, y, found[c])
     for k in range(min(n - rank, len(null))):
-        for j in range(n):
-            y[j] = 0.0
+        filled(y, 0.0)
         y[rank + k] = 1.0
         rotate_back(r, rank, order, factor, y, null[k])
     return rank

@@ -35,6 +35,29 @@ def filled(array, value):
 
 
 @inlined
+def largest(values):
+    """Return the largest magnitude in an array (n,), zero if it is empty."""
+    even = odd = 0.0  # independent, which is faster
+    for i in range(0, len(values) - 1, 2):
+        x, y = abs(values[i]), abs(values[i + 1])
+        even = x if x > even else even
+        odd = y if y > odd else odd
+    if len(values) % 2 == 1:
+        x = abs(values[len(values) - 1])
+        even = x if x > even else even
+    return odd if odd > even else even
+
+
+@inlined
+def largest_diagonal(matrix):
+    """Return the largest magnitude on the diagonal of a matrix (n, n), zero if it is empty."""
+    found = 0.0
+    for i in range(len(matrix)):
+        found = max(found, abs(matrix[i, i]))
+    return found
+
+
+@inlined
 def ones(n):
     """Return an array (n,) of ones."""
     return filled(np.empty(n), 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.jit import external
+from .products import add, dot
 
 
 @declared(FLOAT_ROWS, INTEGERS)
@@ -29,8 +30,7 @@ def factorize(matrix, order):
                 matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
         for a in range(k + 1, size):
             matrix[a, k] /= matrix[k, k]
-            for b in range(k + 1, size):
-                matrix[a, b] -= matrix[a, k] * matrix[k, b]
+            add(matrix[a, k + 1 :], -matrix[a, k], matrix[k, k + 1 :])
     return True
 
 
@@ -42,9 +42,6 @@ def substitute(factors, order, right):
     for k in range(size):
         right[k], right[order[k]] = right[order[k]], right[k]
     for a in range(size):
-        for b in range(a):
-            right[a] -= factors[a, b] * right[b]
+        right[a] -= dot(factors[a, :a], right)
     for a in range(size - 1, -1, -1):
-        for b in range(a + 1, size):
-            right[a] -= factors[a, b] * right[b]
-        right[a] /= factors[a, a]
+        right[a] = (right[a] - dot(factors[a, a + 1 :], right[a + 1 :])) / factors[a, a]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._compile.jit import inlined
+from .loops import filled
 
 
 @inlined
@@ -17,26 +18,26 @@ def dot(x, y):
 
 
 @inlined
+def add(to, part, x):
+    """Add part · x (n,) to an array `to` (n,)."""
+    for i in range(len(to)):
+        to[i] += part * x[i]
+
+
+@inlined
 def apply(matrix, x, out):
     """Fill out (m,) with matrix (m, n) times x (n,)."""
     for i in range(len(out)):
-        total = 0.0
-        for j in range(len(x)):
-            total += matrix[i, j] * x[j]
-        out[i] = total
+        out[i] = dot(x, matrix[i])
 
 
 @inlined
 def apply_symmetric(matrix, x, out):
     """Fill out (n,) with a symmetric matrix (n, n) times a sparse x (n,)."""
-    n = len(out)
-    for i in range(n):
-        out[i] = 0.0
-    for j in range(n):
-        part = x[j]
-        if part != 0.0:
-            for i in range(n):
-                out[i] += matrix[j, i] * part
+    filled(out, 0.0)
+    for j in range(len(out)):
+        if x[j] != 0.0:
+            add(out, x[j], matrix[j])
 
 
 @inlined

@@ -8,6 +8,7 @@ import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
+from .products import add, dot
 from .tolerances import EXACT, RANK, TINY
 
 
@@ -37,10 +38,7 @@ def factor(matrix, order, lower, least):
         lower[p, k] = pivot
         for a in range(k + 1, size):
             i = order[a]
-            total = matrix[i, p]
-            for j in range(k):
-                total -= lower[i, j] * lower[p, j]
-            lower[i, k] = total / pivot
+            lower[i, k] = (matrix[i, p] - dot(lower[i, :k], lower[p])) / pivot
             rest[i] -= lower[i, k] ** 2
     return size
 
@@ -50,10 +48,7 @@ def forward(lower, order, rank, right, y):
     """Fill the first `rank` entries of y with L₁₁⁻¹ times the entries of `right` in pivot order."""
     for k in range(rank):
         i = order[k]
-        total = right[i]
-        for j in range(k):
-            total -= lower[i, j] * y[j]
-        y[k] = total / lower[i, k]
+        y[k] = (right[i] - dot(lower[i, :k], y)) / lower[i, k]
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS)
@@ -94,7 +89,7 @@ def invert_definite(matrix):
         for i in range(k):
             x = matrix[k, i] / pivots[k]
             if x != 0.0:
-                _subtract(matrix[i, : i + 1], x, matrix[k, : i + 1])
+                add(matrix[i, : i + 1], -x, matrix[k, : i + 1])
         for i in range(k):
             matrix[k, i] /= pivots[k]
     for i in range(size):  # L⁻¹, in place of L
@@ -103,7 +98,7 @@ def invert_definite(matrix):
         for j in range(i):
             x = matrix[i, j]
             if x != 0.0:
-                _subtract(row[: j + 1], x, matrix[j, : j + 1])
+                add(row[: j + 1], -x, matrix[j, : j + 1])
         for j in range(i + 1):
             matrix[i, j] = columns[j, i] = row[j]
     for i in range(size):  # L⁻¹ D⁻¹ L⁻ᵀ
@@ -111,17 +106,10 @@ def invert_definite(matrix):
         for k in range(i + 1):
             x = columns[k, i] / pivots[k]
             if x != 0.0:
-                _subtract(row[k:], -x, columns[k, k : i + 1])
+                add(row[k:], x, columns[k, k : i + 1])
         for j in range(i + 1):
             matrix[i, j] = matrix[j, i] = row[j]
     return True
-
-
-@inlined
-def _subtract(row, part, other):
-    """Subtract a multiple of another row (n,) from a row (n,)."""
-    for j in range(len(row)):
-        row[j] -= part * other[j]
 
 
 @inlined

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -28,14 +28,6 @@ ROUNDING = 32.0 * 2.0**-52
 """Sums below this fraction of their terms are rounding errors and shown as zero."""
 CONDITION = 1e3
 """Amplification of rounding errors in joint velocities by the mass matrix of a robot with many bodies."""
-WIDE = 160
-"""Minimum width of output that does not go to a terminal [columns]."""
-
-
-def wide_console() -> Console:
-    """Return the console of stdout; files and pipes are wide enough for long names."""
-    console = Console()
-    return console if console.is_terminal else Console(width=max(WIDE, console.width))
 
 
 def impact_report(

@@ -18,6 +18,9 @@ from ..tables import nulls
 if TYPE_CHECKING:
     from rich.console import Console
 
+WIDE = 160
+"""Minimum width of output that does not go to a terminal, for long names [columns]."""
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as in shells: 128 plus the number of the signal."""
 
@@ -129,8 +132,11 @@ def print_result(
     if isinstance(shown, str):
         click.echo(shown)
     else:
-        from .report import wide_console
+        from rich.console import Console
 
-        wide_console().print(shown)
+        console = Console()
+        if not console.is_terminal:
+            console = Console(width=max(WIDE, console.width))
+        console.print(shown)
     for what, path in (files or {}).items():
         click.echo(f"{what}: {path}")

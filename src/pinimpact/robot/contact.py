@@ -26,9 +26,6 @@ from .names import frame_id, model_of
 from .placed_robot import PlacedRobot
 from .solids import Solid, two_shapes
 
-FAR = 1e12
-"""Distance from its surface of a contact without a position [m], further than any two bodies are apart."""
-
 
 @dataclass(frozen=True, repr=False)
 class Contact:
@@ -180,8 +177,8 @@ class Contact:
 
     @property
     def unplaced(self) -> bool:
-        """Whether it is a contact point of two shapes without a position, which it has while they touch."""
-        return self.pair is not None and isinstance(self.plane, Plane) and self.plane.point[2] == -FAR
+        """Whether it is a contact point of two shapes that do not touch: it then belongs to no body."""
+        return self.pair is not None and self.frame == 0 and self.plane.body is None
 
     def restitution_at(self, speed: float) -> float:
         """Return e for an approach speed [m/s].

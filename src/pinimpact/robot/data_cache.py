@@ -124,10 +124,6 @@ def _joints(data: pin.Data) -> _Joints:
     return _Joints(data.parents_fromRow.tolist(), kinds, axes)
 
 
-def _own_joints(model: pin.Model) -> _Joints:
-    return _joints(model.createData())
-
-
 def _parents(model: pin.Model, data: Any) -> np.ndarray:
     """Return the parents of velocities; raise an error for Data of another model."""
     if not isinstance(data, pin.Data):
@@ -138,7 +134,7 @@ def _parents(model: pin.Model, data: Any) -> np.ndarray:
         )
     if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
         raise outdated(model, data)
-    own, given = once(_known, model, _own_joints), _joints(data)
+    own, given = once(_known, model, lambda model: _joints(model.createData())), _joints(data)
     if given.parents != own.parents:
         raise _foreign(data, "whose kinematic tree is another")
     for name, kind, other, axis, its in zip(

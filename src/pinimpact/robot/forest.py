@@ -138,7 +138,8 @@ def inverse_mass(model: pin.Model, data: Any, q: Array) -> Array:
 
 def _inverse_mass(model: pin.Model, data: pin.Data, q: Array) -> Array:
     if is_accurate(model):
-        return np.asarray(pin.computeMinverse(model, data, q))
+        upper = np.triu(pin.computeMinverse(model, data, q))
+        return np.asarray(upper + np.triu(upper, 1).T)
     return inverse_of(crba(model, data, q))
 
 

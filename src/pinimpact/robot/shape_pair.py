@@ -23,7 +23,7 @@ from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
 from ..geometry.tolerances import NEAREST
-from .contact import FAR, Contact
+from .contact import Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
 from .solids import CarriedShape, two_shapes
@@ -80,8 +80,7 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
     pair = shape_pair(robot, contact)
     count = pair.most_points
     label = contact.label
-    far = Plane((0.0, 0.0, -FAR), name=pair.b.name)
-    first = replace(pair.basis, plane=far, pair=contact, name=label)
+    first = replace(pair.basis, plane=Plane(name=pair.b.name), pair=contact, name=label)
     return (first, *(_called(first, f"{label} {k + 1}") for k in range(1, count)))
 
 

@@ -323,7 +323,10 @@ class GroupJump:
         columns, first = [], x.shape[1] - len(parameters)
         for column, parameter in enumerate(parameters, first):
             places = np.flatnonzero(self._sources == parameter.contact).tolist()
-            if places and self._matters(parameter, places[0]):
+            if places and (
+                parameter.kind == "friction"  # not e that was set to zero
+                or self._inputs.restitution[places[0]] == self._contacts[places[0]].restitution
+            ):
                 changes.append(coefficient_change(len(self._sources), **{parameter.kind: places[0]}))
                 columns.append(column)
         found = slopes_along(inputs, self._group.policy, solution, changes, options=self._group.options)
@@ -332,11 +335,6 @@ class GroupJump:
         after[:, known] += response @ found.impulse[:, : len(weights)] @ weights
         after[:, columns] += response @ found.impulse[:, len(weights) :]
         return Passed(after, tuple(parameters[k - first] for k in columns), found.boundary)
-
-    def _matters(self, parameter: Parameter, place: int) -> bool:
-        """Whether an impact depends on a coefficient; not on e if restitution was set to zero."""
-        used = self._inputs.restitution[place]
-        return parameter.kind == "friction" or used == self._contacts[place].restitution
 
     def _change(self, velocity: Array, of_q: Array) -> Change:
         """Return the change of the impact's data for changes of the velocities (3n,) and of q (nv,)."""

@@ -198,7 +198,6 @@ class SceneLayout:
     def _rate_of_damping(self, damping: Array) -> float:
         model = self._model
         minverse = inverse_mass(model, data_of(model), pin.neutral(model))
-        minverse = np.triu(minverse) + np.triu(minverse, 1).T
         root = np.sqrt(damping)
         return float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
 

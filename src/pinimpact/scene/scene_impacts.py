@@ -28,7 +28,7 @@ from ..robot.data_cache import data_cache
 from ..robot.forest import inverse_mass
 from ..robot.joint_limits import JointLimit
 from ..robot.many_impact import ImpactOptions
-from ..robot.matrices import ContactMatrices, ManyMatrices, checked_matrices, contact_matrices
+from ..robot.matrices import ManyMatrices, checked_matrices, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.pinocchio_bridge import kinetic_energy
 from ..robot.placed_robot import PlacedRobot
@@ -209,7 +209,9 @@ class SceneImpacts:
         coupled = taking_part(matrices.delassus, friction, rates, least, place, parts)
         chosen = parts.nonzero()[0]
         struck = [every[k] for k in chosen.tolist()]
-        if len(chosen) == 1 and (not coupled or self._is_plastic(struck[0])):
+        one = struck[0]
+        plastic = (self._limit_restitution if one is None else one.restitution) == 0.0
+        if len(chosen) == 1 and (not coupled or plastic):
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
         sources = [touching[k] for k in chosen.tolist()]
@@ -263,6 +265,8 @@ class SceneImpacts:
         Raises:
             IrregularMotionError: It is refused, see `refuses`: its waves are not resolved.
         """
+        if not touching:
+            return None
         every, matrices = self._matrices(q, touching)
         velocity = matrices.velocity(v)
         velocity[:, 2] = np.minimum(velocity[:, 2], 0.0)
@@ -385,10 +389,6 @@ class SceneImpacts:
         k = i - len(self._dynamics.contacts)
         return 1.0 if k < 0 else float(self._dynamics.work.joint_metres[self._dynamics.limits[k].index_v])
 
-    def _is_plastic(self, contact: Contact | None) -> bool:
-        """Whether a contact or limit has no restitution."""
-        return (self._limit_restitution if contact is None else contact.restitution) == 0.0
-
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact or limit at a gap rate [m/s]."""
         return self._limit_restitution if contact is None else contact.restitution_at(max(-rate, 0.0))
@@ -404,7 +404,7 @@ class SceneImpacts:
             i: Number of the contact.
         """
         contact = self._dynamics.contacts[i]
-        matrices = self._matrices_of(q, contact)
+        matrices = contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
         velocity = matrices.velocity(v)
         velocity[2] = 0.0
         e, friction = contact.restitution_at(0.0), contact.sustained_friction
@@ -421,10 +421,6 @@ class SceneImpacts:
         )
         p = solve_impact(problem).impulse
         return Impact(v + matrices.response @ p, False, lambda: (problem, p @ matrices.axes))
-
-    def _matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
-        """Return the matrices of a contact, with held contacts and locked joints."""
-        return contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""

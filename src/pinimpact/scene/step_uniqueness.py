@@ -55,7 +55,6 @@ class StepUniqueness:
         if len(rows) == 0:
             return True
         inverse = inverse_mass(model, data, q)
-        inverse = np.triu(inverse) + np.triu(inverse, 1).T
         sizes = np.einsum("ij,ij->i", rows @ inverse, rows)
         moved = sizes > ROUNDOFF * sizes.max()
         count = int(np.count_nonzero(moved))

@@ -25,7 +25,7 @@ ROUNDING = 32.0 * np.finfo(float).eps
 
 
 class OneStepSlopes(NamedTuple):
-    """Derivatives of the impulses, as in `ImpactSlopes`."""
+    """Derivatives of the impulses, as in `Derivatives`."""
 
     dP_ddelassus: Array
     dP_dfriction: Array

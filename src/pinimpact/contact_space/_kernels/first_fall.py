@@ -6,6 +6,7 @@ import math
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
+from ..._numeric.loops import assign
 from ..._numeric.tolerances import EXACT
 from .tolerances import NOISE
 
@@ -85,8 +86,7 @@ def first_fall(c, degree, h, zero, rows):
     noise = NOISE * largest
     start, part = 0.0, 1.0
     while True:  # rest: coefficients on [start, 1]; left, right: on its first part and on the remainder
-        for j in range(n + 1):
-            right[j] = rest[j]
+        assign(right[: n + 1], rest)
         lowest, changes = rest[0], 0
         for r in range(n + 1):  # subdivision by de Casteljau's algorithm, unless the part is the whole
             left[r] = right[0] if part < 1.0 else rest[r]
@@ -101,8 +101,7 @@ def first_fall(c, degree, h, zero, rows):
                 return NEVER
             start += width
             part = min(1.0, 2.0 * part / (1.0 - part))
-            for j in range(n + 1):
-                rest[j] = right[j]
+            assign(rest[: n + 1], right)
         elif changes == 1 and left[n] < 0.0:
             return h * _bisect(power, n, start, start + width)
         elif width < EXACT:

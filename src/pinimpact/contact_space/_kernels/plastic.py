@@ -11,7 +11,7 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.augmented_newton import Law
 from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
 from ..._numeric.loops import filled, flags
-from ..._numeric.products import dot
+from ..._numeric.products import add, dot
 from ..._numeric.tolerances import COMPUTED, ROUNDOFF
 from .tolerances import MISSED
 
@@ -63,19 +63,11 @@ def come_to_rest(system, state, works):
                 approaches = True
                 push = -v[z] / w[z, z]
                 works[z // 3, 0] += 0.5 * v[z] * push
-                for i in range(len(v)):
-                    v[i] += w[i, z] * push
+                add(v, push, w[z])
                 v[z] = 0.0
                 state.impulse[z] += push
         if not approaches:
             break
-
-
-@inlined
-def plastic_impulses_now(system, state, impulse):
-    """Compute the impulses (3n,) of a plastic impact that starts at the state; see `impulses_together`."""
-    n = len(system.friction)
-    impulses_together(system.w, state.v, system.friction, np.zeros(n), np.ones(n), impulse)
 
 
 @inlined
@@ -86,9 +78,7 @@ def end_plastically(system, state, impulse, works):
     for i in range(len(v)):
         change = dot(w[i], impulse)
         works[i // 3, 0 if i % 3 == 2 else 2] += (v[i] + 0.5 * change) * impulse[i]
-    for i in range(len(v)):
-        for k in range(len(v)):
-            v[i] += w[i, k] * impulse[k]
+        v[i] += change
         state.impulse[i] += impulse[i]
         stopped = stopped and (i % 3 != 2 or v[i] > -MISSED)
     return stopped

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.products import dot
 from ..._numeric.semidefinite import factor, forward
 from ..._numeric.tolerances import ROUNDING, ROUNDOFF, TINY
 from .propagation_course import follow
@@ -81,8 +82,7 @@ def propagate(
     residual = gained = size = 0.0
     made = before.copy()
     for i in range(3 * n):
-        for k in range(3 * n):
-            made[i] += own_w[i, k] * p[k]
+        made[i] += dot(own_w[i], p)
         residual = max(residual, abs(u[i] - made[i]))
         stopped = stopped and math.isfinite(u[i]) and math.isfinite(p[i])
     if residual > ROUNDING:  # velocities set to zero at many events add up
@@ -145,7 +145,7 @@ def _make_consistent(w, v):
     rank = factor(w, order, lower, NEGLIGIBLE)
     forward(lower, order, rank, v, y)
     for k in range(rank, m):
-        row, made = order[k], 0.0
+        row, made = order[k], dot(lower[order[k], :rank], y)
         first = row - row % 3
         mobility = max(w[first, first], w[first + 1, first + 1], w[first + 2, first + 2])
         if row % 3 != 2 and w[row, row] <= ROUNDOFF * ROUNDOFF * mobility:  # squares of rows of L
@@ -153,8 +153,6 @@ def _make_consistent(w, v):
                 v[row] = 0.0
             w[row] = 0.0
             w[:, row] = 0.0
-        for b in range(rank):
-            made += lower[row, b] * y[b]
         if row % 3 != 2 and w[row, row] > 0.0 and abs(made - v[row]) <= SLOW:
             v[row] = made
 

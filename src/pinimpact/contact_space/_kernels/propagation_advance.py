@@ -10,6 +10,7 @@ from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import filled, power
+from ..._numeric.products import add
 from .codes import (
     COMPRESSION,
     FREE,
@@ -92,10 +93,8 @@ def advance(system, state, series, h, degree, pace, root, parts, works, rows, us
                     normal_work += _product(series, z, k) * part
                 if state.tangent[j] != FREE:
                     friction_work += (_product(series, x, k) + _product(series, y, k)) * part
-                for i in range(x, z + 1):
-                    state.impulse[i] += series.force[k, i] * part
-            for i in range(x, z):
-                state.impulse[i] += series.beyond[POINTS - 1, i]
+                add(state.impulse[x : z + 1], part, series.force[k, x:])
+            add(state.impulse[x:z], 1.0, series.beyond[POINTS - 1, x:])
             if state.normal[j] != HELD:  # the decrease of the spring's energy
                 normal_work = stored(system, j, state.indentation[j])
                 normal_work -= stored(system, j, value_at(series.indentation, j, degree, h))

@@ -10,11 +10,12 @@ from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined
-from ..._numeric.loops import repeated
+from ..._numeric.loops import largest, largest_diagonal, repeated
+from ..._numeric.products import dot
 from ..._numeric.tolerances import LITTLE, ROUNDING, ROUNDOFF
 from .codes import HELD, NONE_YET, OPEN, SLIPPING
 from .first_fall import NEVER
-from .plastic import come_to_rest, end_plastically, plastic_impulses_now
+from .plastic import come_to_rest, end_plastically, impulses_together
 from .propagation_advance import NO_ROW, advance, record, record_step, time_power
 from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
@@ -190,12 +191,10 @@ def _update_plastic_end(system, state, impulse, ends):
 
     Both are overwritten. Return the largest change of `ends`.
     """
-    plastic_impulses_now(system, state, impulse)
-    change = 0.0
+    n, change = len(system.friction), 0.0
+    impulses_together(system.w, state.v, system.friction, np.zeros(n), np.ones(n), impulse)
     for i in range(len(impulse)):
-        end = state.v[i]
-        for k in range(len(impulse)):
-            end += system.w[i, k] * impulse[k]
+        end = state.v[i] + dot(system.w[i], impulse)
         change = max(change, abs(end - ends[i]))
         ends[i] = end
     return change
@@ -383,18 +382,11 @@ def _next_closing(state):
 @inlined
 def _step_length(system, series, accuracy, pace, h):
     """Return the step size, at most h, at which the last three terms of the series equal the accuracy."""
-    n = len(system.friction)
-    weight = 0.0
-    for i in range(3 * n):
-        weight = max(weight, system.w[i, i])
+    weight = largest_diagonal(system.w)
     for k in range(ORDER - 1, ORDER + 2):
-        largest = 0.0
-        for i in range(3 * n):
-            largest = max(largest, abs(series.v[k, i]))
-            # self-equilibrated forces do not appear in the velocities
-            largest = max(largest, LITTLE * weight * abs(series.force[k - 1, i]) * pace / k)
-        for j in range(n):
-            largest = max(largest, abs(series.indentation[k, j]))
-        if largest > 0.0:
-            h = min(h, (accuracy / largest) ** (1.0 / k))
+        # self-equilibrated forces do not appear in the velocities
+        forces = LITTLE * weight * largest(series.force[k - 1]) * pace / k
+        size = max(largest(series.v[k]), largest(series.indentation[k]), forces)
+        if size > 0.0:
+            h = min(h, (accuracy / size) ** (1.0 / k))
     return h

@@ -9,6 +9,7 @@ from numba import types
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
+from ..._numeric.loops import filled, largest
 from ..._numeric.tolerances import NOISE, ROUNDOFF
 from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
@@ -74,8 +75,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
     for j in range(n):
         reach = min(h, first + tie)
         mode, x, y, z = state.normal[j], 3 * j, 3 * j + 1, 3 * j + 2
-        for k in range(3):
-            roots[j, k] = NEVER
+        filled(roots[j], NEVER)
         still = series.changes[x] + series.changes[y] + series.changes[z] == 0 and series.v[0, z] == 0.0
         if still and mode in (OPEN, LOADING):
             continue
@@ -189,19 +189,11 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
     straight = along < 0.0 and near and across * speed <= ROUNDOFF * -along
     if fresh != 0:  # slip has just begun, at SLIP_SPEED
         straight = straight and speed < 0.5 * SLIP_SPEED
-    if straight and _neglected(series, -speed / along) <= ROUNDOFF:
+    # and the series need not be longer than `SHORT`
+    if straight and largest(series.v[SHORT + 1]) * (-speed / along) ** 3 <= ROUNDOFF:
         return -speed / along, True, NEVER
     turns_back = fresh == 0 and speed < 10.0 * ROUNDOFF and across > 0.1 * along
     return (0.0 if turns_back else NEVER), turns_back, NEVER
-
-
-@inlined
-def _neglected(series, h):
-    """Return the truncation error of velocities in a step by series of degree `SHORT`."""
-    largest = 0.0
-    for i in range(series.v.shape[1]):
-        largest = max(largest, abs(series.v[SHORT + 1, i]))
-    return largest * h**3
 
 
 @inlined

@@ -12,7 +12,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import Law
 from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant
-from ..._numeric.loops import assign, flags
+from ..._numeric.loops import assign, filled, flags, largest
 from ..._numeric.products import dot
 from ..._numeric.tolerances import COMPUTED, LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
@@ -90,9 +90,7 @@ def settle(system, state, series):
     force_inverse(system, state, unit, unknown, weight, inverse)
     forces = p.copy()
     hold(system, state, unit, unknown, inverse, np.empty(len(unknown)), forces)
-    scale = 0.0
-    for i in range(3 * n):
-        scale = max(scale, abs(forces[i]))
+    scale = largest(forces)
     shared = not any_held and mark_shared(system, state)
     fits = _fits(system, state, cap, unknown, forces, scale)
     if fits and not at_bound and (shared or _within_bounds(system, state, forces, ROOM)):
@@ -261,17 +259,13 @@ def _admit(system, state, unit, weight, cap, p, forces):
     n = len(cap)
     assign(forces, p)
     _solve_resting(system, state, unit, weight, cap, forces)
-    scale, moves = 0.0, False
-    for i in range(3 * n):
-        scale = max(scale, abs(forces[i]))
+    scale, moves = largest(forces), False
     for j in range(n):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         if state.tangent[j] == STUCK:
             length, bound = math.hypot(forces[x], forces[y]), friction[j] * forces[z]
-            ax = ay = size = 0.0
+            ax, ay, size = dot(w[x], forces), dot(w[y], forces), 0.0
             for i in range(3 * n):
-                ax += w[x, i] * forces[i]
-                ay += w[y, i] * forces[i]
                 size += (abs(w[x, i]) + abs(w[y, i])) * scale
             fastest = math.hypot(ax, ay)
             slack = (bound - length) * (w[x, x] + w[y, y])
@@ -287,9 +281,8 @@ def _admit(system, state, unit, weight, cap, p, forces):
                 state.direction[2 * j + 1] = -forces[y] / length
         if state.normal[j] == HELD:
             state.pressed[j] = forces[z]
-            rise = size = 0.0
+            rise, size = dot(w[z], forces), 0.0
             for i in range(3 * n):
-                rise += w[z, i] * forces[i]
                 size += abs(w[z, i]) * scale
             if forces[z] <= 0.0 and rise > NEGLIGIBLE * size:
                 state.normal[j] = OPEN
@@ -338,8 +331,7 @@ def _solve_resting(system, state, unit, weight, cap, forces):
             slip[c, 0], slip[c, 1] = unit[2 * j], unit[2 * j + 1]
         bounds[c] = weight[j] * (friction[j] if friction[j] > 0.0 else 1.0)
         largest = max(largest, bounds[c])
-        for d in range(3):
-            forces[3 * j + d] = 0.0
+        filled(forces[3 * j : 3 * j + 3], 0.0)
     for a in range(size):
         row = w[3 * at[a // 3] + a % 3]
         free[a] = dot(row, forces)

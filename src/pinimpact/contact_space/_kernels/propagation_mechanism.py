@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.declared import FloatRows, Floats, Integers
 from ..._compile.jit import inlined
 from ..._numeric.least_norm import least_norm
-from ..._numeric.products import dot
+from ..._numeric.products import add, dot
 from ..._numeric.semidefinite import factor, forward
 from .tolerances import NEGLIGIBLE
 
@@ -101,8 +101,7 @@ def turn_together(system, state, series, k, pace, ties, answers, mechanism):
     unbalanced = gained[:r]
     for a in range(r):
         y[a] = turn[a] + dot(mechanism.free[a, :r], unbalanced) / factor_k
-    for a in range(r):
-        unbalanced[a] -= factor_k * y[a]
+    add(unbalanced, -factor_k, y)
     for c in range(m):
         j = ties[c]
         dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
@@ -117,15 +116,13 @@ def turn_together(system, state, series, k, pace, ties, answers, mechanism):
             total -= speed[i, j] * (unit[k - i, 2 * j + 1] * dx - unit[k - i, 2 * j] * dy)
         known[c] = total / speed[0, j]
         push = system.friction[j] * force[0, 3 * j + 2]
+        add(unbalanced, -push * known[c], across[c])
         for a in range(r):
-            unbalanced[a] -= push * known[c] * across[c, a]
-            for b in range(r):
-                stiff[a, b] += push / speed[0, j] * across[c, a] * across[c, b]
+            add(stiff[a], push / speed[0, j] * across[c, a], across[c])
     least_norm(stiff, unbalanced, NEGLIGIBLE, turn, np.empty((0, r)))
     for c in range(m):
         j = ties[c]
         x = dot(across[c, :r], turn) / speed[0, j] + known[c]
         unit[k, 2 * j] -= x * state.direction[2 * j + 1]
         unit[k, 2 * j + 1] += x * state.direction[2 * j]
-        for i in range(len(answers[c])):
-            force[k, i] += x * answers[c, i]
+        add(force[k], x, answers[c])

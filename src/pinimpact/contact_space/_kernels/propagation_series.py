@@ -14,6 +14,7 @@ from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, FloatRows, Integers, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.least_norm import least_norms
+from ..._numeric.loops import filled
 from ..._numeric.products import dot
 from .codes import BOUND, FREE, HELD, OPEN, SLIPPING, STUCK
 from .propagation_mechanism import fill_mechanism, new_mechanism, turn_together
@@ -195,15 +196,14 @@ def forces_of_order(system, state, series, k, root, closed):
     """
     friction, force, unit = system.friction, series.force, series.unit
     hertz = system.exponent != 1.0
-    for i in range(force.shape[1]):
-        force[k, i] = 0.0
+    filled(force[k], 0.0)
     for j in closed:
         p = 3 * j
         mode, tangent = state.normal[j], state.tangent[j]
         normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
         if loads(mode):
             if hertz:
-                normal = system.stiffness[j] * _power(series, system.exponent, k, j, root)
+                normal = system.stiffness[j] * _power(series, system.exponent, k, j)
             else:
                 normal = system.stiffness[j] * series.indentation[k, j]
         force[k, p + 2] = normal
@@ -249,16 +249,10 @@ def hold(system, state, unit, unknown, inverse, fixed, force):
         fixed: (m,) scratch.
         force: (3n,) other forces; the constraint forces are added.
     """
-    w = system.w
     for a in range(len(unknown)):
-        total = 0.0
-        for i in range(len(force)):
-            total += w[unknown[a], i] * force[i]
-        fixed[a] = total
+        fixed[a] = dot(system.w[unknown[a]], force)
     for a in range(len(unknown)):
-        total = 0.0
-        for b in range(len(unknown)):
-            total -= inverse[a, b] * fixed[b]
+        total = -dot(inverse[a, : len(unknown)], fixed)
         place = unknown[a]
         j = place // 3
         force[place] += total
@@ -275,8 +269,7 @@ def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answe
     `force` (3n,) are the forces, `answer` (3n,) is overwritten; other arguments as for `hold`.
     """
     push = system.friction[j] * force[3 * j + 2]
-    for i in range(len(answer)):
-        answer[i] = 0.0
+    filled(answer, 0.0)
     answer[3 * j] = push * state.direction[2 * j + 1]
     answer[3 * j + 1] = -push * state.direction[2 * j]
     hold(system, state, unit, unknown, inverse, fixed, answer)
@@ -288,8 +281,7 @@ def find_mechanism(system, state, unit, unknown, inverse, fixed, ties, force, me
     size = 2 * len(ties)
     response, answer = np.empty((size, size)), np.empty(len(force))
     for b in range(size):
-        for i in range(len(answer)):
-            answer[i] = 0.0
+        filled(answer, 0.0)
         answer[3 * ties[b // 2] + b % 2] = 1.0
         hold(system, state, unit, unknown, inverse, fixed, answer)
         for a in range(size):
@@ -338,8 +330,7 @@ def integrate(system, rates, series, k, pace, root):
     n = len(system.friction)
     v, indentation, force = series.v, series.indentation, series.force
     source, factor = (k - 1, 2.0 * pace * pace / (k + 1.0)) if root else (k, pace / (k + 1.0))
-    for i in range(3 * n):
-        v[k + 1, i] = 0.0
+    filled(v[k + 1], 0.0)
     if source >= 0:
         for a in range(3 * n):  # W is symmetric, and many forces are zero
             push = force[source, a]
@@ -386,7 +377,7 @@ def _direction(series, k, j):
 
 
 @inlined
-def _power(series, exponent, k, j, root):
+def _power(series, exponent, k, j):
     """Return the coefficient k of δ^η, for δ(0) > 0 or, in τ, for δ of order τ²."""
     indentation, power = series.indentation, series.power
     if indentation[0, j] > 0.0:

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import filled
-from ..._numeric.products import dot
+from ..._numeric.loops import filled, largest
+from ..._numeric.products import add, dot
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import EXACT, TINY
 from .codes import STUCK
@@ -107,9 +107,7 @@ def _creep(rows, bound, load, y, v):
         y: (r,) initial guess; is overwritten with the acceleration.
         v: (3m,) L y; likewise.
     """
-    m, strongest = len(bound), TINY
-    for c in range(m):
-        strongest = max(strongest, bound[c])
+    m, strongest = len(bound), max(TINY, largest(bound))
     for c in range(m):
         bound[c] /= strongest
     for k in range(len(load)):
@@ -144,8 +142,7 @@ def _loads_of(system, at, rows, series, degree):
         for c in range(m):
             bounds[k, c] = system.friction[at[c]] * series.force[k, 3 * at[c] + 2]
             for a in range(2):
-                for i in range(r):
-                    held[k, i] -= rows[3 * c + a, i] * series.force[k, 3 * at[c] + a]
+                add(held[k], -series.force[k, 3 * at[c] + a], rows[3 * c + a])
     return bounds, held
 
 
@@ -240,10 +237,9 @@ def spread(system, state, series, degree, h, pace, root):
     bounds, held = _loads_of(system, at, rows, series, degree)
     bound, load, y, v = np.empty(m), np.empty(r), np.zeros(r), np.zeros(3 * m)
     more, pushed, moves, gram = np.empty(3 * m), np.empty(r), np.empty(r), np.zeros((r, r))
-    for i in range(3 * m):
+    for row in rows:
         for a in range(r):
-            for b in range(r):
-                gram[a, b] += rows[i, a] * rows[i, b]
+            add(gram[a], row[a], row)
     parts = len(series.beyond)
     for part in range(parts):
         filled(more, 0.0)
@@ -261,8 +257,7 @@ def spread(system, state, series, degree, h, pace, root):
                     pull = strongest * bound[c] * v[3 * c + a] / speed
                     more[3 * c + a] -= weight * (pull + value_at(series.force, 3 * at[c] + a, degree, s))
         for i in range(3 * m):
-            for k in range(r):
-                pushed[k] += rows[i, k] * more[i]
+            add(pushed, more[i], rows[i])
         least_norm(gram, pushed, FIRM, moves, np.empty((0, r)))
         for i in range(3 * m):
             place = 3 * at[i // 3] + i % 3

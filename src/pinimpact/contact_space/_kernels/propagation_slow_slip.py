@@ -10,9 +10,9 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined
-from ..._numeric.elimination import largest_of
 from ..._numeric.least_norm import least_norm
-from ..._numeric.products import dot
+from ..._numeric.loops import assign, filled, largest
+from ..._numeric.products import add, dot
 from ..._numeric.semidefinite import forward
 from ..._numeric.tolerances import ROUNDOFF
 from .codes import SLIPPING
@@ -87,13 +87,11 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
         return 0.0
     rates, n = np.empty(len(system.friction)), len(state.v)
     closed = what_changes(system, state, rates)[0]
-    for i in range(n):
-        series.v[0, i] = slow[0, i] = state.v[i]
-        series.changes[i] = 0
-        for k in range(1, ORDER + 2):
-            slow[k, i] = 0.0
-    for j in range(len(rates)):
-        series.indentation[0, j] = state.indentation[j]
+    filled(slow.ravel(), 0.0)
+    filled(series.changes, 0)
+    assign(slow[0], state.v)
+    assign(series.v[0], state.v)
+    assign(series.indentation[0], state.indentation)
     stiff, mechanism, fixed = _set_up(system, state, series, unknown, inverse, ties, closed)
     fastest = 0.0
     for a in range(len(stiff.matrix)):
@@ -102,7 +100,7 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
     null = np.zeros(stiff.matrix.shape)
     for turn in range(PASSES + 1):
         if turn == 1:  # pass 0 gives the rate of change of the motion
-            if not largest_of(residual[0], 0) <= NEAR * _slowest(series, ties):
+            if not largest(residual[0]) <= NEAR * _slowest(series, ties):
                 return 0.0
             pace = _pace_of(series, ties, slow)
             least = max(STIFF / (pace * fastest), part)
@@ -125,8 +123,7 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
                 _balance(
                     system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1], residual[k]
                 )
-            for i in range(n):
-                slow[k, i] = series.v[k, i]
+            assign(slow[k], series.v[k])
             integrate(system, rates, series, k, pace, False)
         if turn > 1 and residual_at(residual, 1.0) <= ROUNDOFF:
             break
@@ -172,24 +169,19 @@ def _set_up(system, state, series, unknown, inverse, ties, closed):
             right[a] = dot(system.w[3 * ties[a // 2] + a % 2], answers[c])
         forward(mechanism.lower, mechanism.order, r, right, turn)
         for a in range(r):
-            for b in range(r):
-                matrix[a, b] -= turn[a] * mechanism.across[c, b] / series.speed[0, ties[c]]
+            add(matrix[a], -turn[a] / series.speed[0, ties[c]], mechanism.across[c])
     return Stiff(ties, answers, matrix, np.empty((r, r)), right, turn), mechanism, fixed
 
 
 @inlined
 def _project(stiff, null, free):
     """Fill `turned`, S without its part along the first `free` rows of `null`, which are integrated."""
-    r = len(null)
-    for b in range(r):
-        for a in range(r):
-            stiff.turned[a, b] = stiff.matrix[a, b]
+    matrix = stiff.matrix
+    for a in range(len(null)):
+        assign(stiff.turned[a], matrix[a])
+    for b in range(len(null)):
         for k in range(free):
-            along = 0.0
-            for a in range(r):
-                along += null[k, a] * stiff.matrix[a, b]
-            for a in range(r):
-                stiff.turned[a, b] -= along * null[k, a]
+            add(stiff.turned[:, b], -dot(null[k], matrix[:, b]), null[k])
 
 
 @inlined
@@ -224,16 +216,13 @@ def _keep_fast_part(stiff, mechanism, null, slow, v, residual):
         residual: (3n,) is overwritten with the change.
     """
     ties, right, turn = stiff.ties, stiff.right, stiff.turn
-    for i in range(len(residual)):
-        residual[i] = 0.0
+    filled(residual, 0.0)
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
         right[a] = slow[i] - v[i]
     forward(mechanism.lower, mechanism.order, len(turn), right, turn)
     for row in null:
-        along = dot(row, turn)
-        for k in range(len(turn)):
-            turn[k] -= along * row[k]
+        add(turn, -dot(row, turn), row)
     for a in range(len(right)):
         i = 3 * ties[a // 2] + a % 2
         residual[i] = dot(mechanism.lower[a, : len(turn)], turn)
@@ -275,8 +264,7 @@ def _balance(system, series, k, stiff, mechanism, least, factor, slow, residual)
         dx, dy = unit[0, 2 * j], unit[0, 2 * j + 1]
         unit[k, 2 * j] -= x * dy
         unit[k, 2 * j + 1] += x * dx
-        for i in range(force.shape[1]):
-            force[k, i] += x * stiff.answers[c, i]
+        add(force[k], x, stiff.answers[c])
 
 
 @inlined

@@ -10,6 +10,8 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, Floats, declared
 from ..._compile.jit import external, inlined
+from ..._numeric.loops import largest
+from ..._numeric.products import add, apply
 from ..._numeric.semidefinite import cholesky, substitute
 from ..._numeric.tolerances import EPS, LITTLE, ROUNDOFF
 from .tolerances import NEGLIGIBLE
@@ -114,9 +116,7 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
     x, target, y, v = borrowed(x), borrowed(target), borrowed(y), borrowed(v)
     n, r = len(bound), len(y)
     gradient, matrix, step, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
-    strongest, last = 0.0, math.inf
-    for j in range(n):
-        strongest = max(strongest, bound[j])
+    strongest, last = largest(bound), math.inf
     for _ in range(TURNS):
         for k in range(r):
             gradient[k] = y[k] - target[k]
@@ -127,16 +127,13 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
                 push = part * force_at(springs, j, deep)
                 strongest = max(strongest, push)
                 noise = max(noise, EPS * part * _hardness(springs, j, deep) * (abs(x[j]) + springs.peak[j]))
-                for k in range(r):
-                    gradient[k] -= push * rows[3 * j + 2, k]
+                add(gradient, -push, rows[3 * j + 2])
             if bound[j] > 0.0:
                 ax, ay = v[3 * j], v[3 * j + 1]
                 rub = bound[j] / max(math.sqrt(ax * ax + ay * ay), creep)
-                for k in range(r):
-                    gradient[k] += rub * (rows[3 * j, k] * ax + rows[3 * j + 1, k] * ay)
-        residual = 0.0
-        for k in range(r):
-            residual = max(residual, abs(gradient[k]))
+                add(gradient, rub * ax, rows[3 * j])
+                add(gradient, rub * ay, rows[3 * j + 1])
+        residual = largest(gradient)
         if residual <= noise or (residual <= ROUNDOFF + NEGLIGIBLE * strongest and residual > 0.5 * last):
             return True
         last = residual
@@ -145,15 +142,10 @@ def minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
         for k in range(r):
             step[k] = -gradient[k]
         substitute(matrix, step)
-        for i in range(3 * n):
-            change[i] = 0.0
-            for k in range(r):
-                change[i] += rows[i, k] * step[k]
+        apply(rows, step, change)
         length = _search(bound, creep, springs, stiff, x, part, target, y, step, v, change)
-        for k in range(r):
-            y[k] += length * step[k]
-        for i in range(3 * n):
-            v[i] += length * change[i]
+        add(y, length, step)
+        add(v, length, change)
     return False
 
 

@@ -12,6 +12,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from ..._compile.interrupts import answer_signals
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign, filled
+from ..._numeric.products import add, dot
 from ..._numeric.tolerances import LITTLE, TINY
 from .first_fall import NEVER
 from .propagation_stages import Springs, find_stage, force_at
@@ -126,10 +127,9 @@ def step_through(
         The number of steps, or 0 if the impact has not ended after `most` steps.
     """
     n, r = len(friction), rows.shape[1]
-    creep, mobility, pace = CREEP * accuracy, np.zeros(n), np.empty(n)
+    creep, mobility, pace = CREEP * accuracy, np.empty(n), np.empty(n)
     for j in range(n):
-        for k in range(r):
-            mobility[j] += rows[3 * j + 2, k] ** 2
+        mobility[j] = dot(rows[3 * j + 2], rows[3 * j + 2])
         pace[j] = math.sqrt(stiffness[j] * mobility[j])
     filled(works.ravel(), 0.0)
     filled(impulse, 0.0)
@@ -186,9 +186,8 @@ def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, wor
                 assign(works.ravel(), held_works)
                 return step
         at = np.zeros(rows.shape[1])
-        for k in range(len(at)):
-            for i in range(STAGES):
-                at[k] += h * WEIGHTS[i] * rate[i, k]
+        for i in range(STAGES):
+            add(at, h * WEIGHTS[i], rate[i])
         _velocities(rows, v[0], at, v[0])
         assign(force[0], force[STAGES - 1])
         clock += h
@@ -270,13 +269,12 @@ def _compute_stages(contacts, v, force, rate, h):
             for before in range(i):
                 now[j] -= h * (IMPLICIT if stiff[j] else EXPLICIT)[i, before] * v[before, z]
             force[i, z] = force[i - 1, z] if stiff[j] else force_at(springs, j, now[j])
-        for k in range(r):
-            target[k] = 0.0
-            for before in range(i):
-                target[k] += h * IMPLICIT[i, before] * rate[before, k]
-            for j in range(n):
-                if not stiff[j]:
-                    target[k] += part * rows[3 * j + 2, k] * force[i, 3 * j + 2]
+        filled(target, 0.0)
+        for before in range(i):
+            add(target, h * IMPLICIT[i, before], rate[before])
+        for j in range(n):
+            if not stiff[j]:
+                add(target, part * force[i, 3 * j + 2], rows[3 * j + 2])
         _velocities(rows, v[0], at, v[i])
         converged = converged and find_stage(
             rows, friction, creep, springs, stiff, now, part, target, at, v[i], force[i], bound
@@ -314,9 +312,7 @@ def _sum_up(contacts, v, force, h, impulse, works):
 def _velocities(rows, start, y, v):
     """Fill v (3n,) with the contact velocities `start` + J y."""
     for i in range(len(v)):
-        v[i] = start[i]
-        for k in range(len(y)):
-            v[i] += rows[i, k] * y[k]
+        v[i] = start[i] + dot(rows[i], y)
 
 
 @inlined
@@ -354,13 +350,11 @@ def _oppose(friction, creep, v, force):
 @inlined
 def _push(rows, force, rate):
     """Fill dy/ds (r,) = Jᵀ p."""
-    for k in range(len(rate)):
-        rate[k] = 0.0
+    filled(rate, 0.0)
     for z in range(2, len(force), 3):
         if force[z] > 0.0:
-            for k in range(len(rate)):
-                for a in range(z - 2, z + 1):
-                    rate[k] += rows[a, k] * force[a]
+            for a in range(z - 2, z + 1):
+                add(rate, force[a], rows[a])
 
 
 @inlined
@@ -370,17 +364,11 @@ def _error_of_step(contacts, rate, v, h):
     Errors of penetrations are multiplied by √(κ W₃₃), and by 1/e in unloading.
     """
     rows, _, springs, x, pace, _ = contacts
-    r, most = rows.shape[1], 0.0
-    error = np.empty(r)
-    for k in range(r):
-        error[k] = 0.0
-        for i in range(STAGES):
-            error[k] += h * ERROR[i] * rate[i, k]
-    for a in range(rows.shape[0]):
-        total = 0.0
-        for k in range(r):
-            total += rows[a, k] * error[k]
-        most = max(most, abs(total))
+    most, error = 0.0, np.zeros(rows.shape[1])
+    for i in range(STAGES):
+        add(error, h * ERROR[i], rate[i])
+    for row in rows:
+        most = max(most, abs(dot(row, error)))
     for j in range(len(x)):
         z, total = 3 * j + 2, 0.0
         for i in range(STAGES):
@@ -430,11 +418,8 @@ def _locked(rows, friction, before, v, force, creep):
     n, r = len(friction), rows.shape[1]
     span, rest = np.empty((r, r)), np.empty(r)
     count, largest = 0, 0.0
-    for a in range(3 * n):
-        size = 0.0
-        for k in range(r):
-            size += rows[a, k] * rows[a, k]
-        largest = max(largest, size)
+    for row in rows:
+        largest = max(largest, dot(row, row))
     for moves in range(2):
         for a in range(3 * n):
             j = a // 3
@@ -449,18 +434,11 @@ def _locked(rows, friction, before, v, force, creep):
                 counts = (a != z and rubs and not creeps) or (a == z and (force[z] > 0.0 or v[z] < -SLOW))
             if not counts:
                 continue
-            for k in range(r):
-                rest[k] = rows[a, k]
+            assign(rest, rows[a])
             for _ in range(2):  # Gram–Schmidt twice, to be orthogonal to rounding
                 for i in range(count):
-                    along = 0.0
-                    for k in range(r):
-                        along += span[i, k] * rest[k]
-                    for k in range(r):
-                        rest[k] -= along * span[i, k]
-            length = 0.0
-            for k in range(r):
-                length += rest[k] * rest[k]
+                    add(rest, -dot(span[i], rest), span[i])
+            length = dot(rest, rest)
             if length > NEGLIGIBLE * NEGLIGIBLE * largest:
                 if moves == 1:
                     return False

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
+from ..._numeric.loops import assign
 from ..tolerances import COINCIDE, FACE, TIE
 from .constants import EDGE, PLANE, TIP_PLANE
 
@@ -121,8 +122,7 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, tolerance, polygon):
             now = beyond(sign * polygon[m, along_side] - bound, tolerance)
             then = beyond(sign * polygon[following, along_side] - bound, tolerance)
             if now <= 0.0:
-                for e in range(4):
-                    other[kept, e] = polygon[m, e]
+                assign(other[kept], polygon[m])
                 kept += 1
             if (now <= 0.0) != (then <= 0.0):
                 share = now / (now - then)
@@ -132,8 +132,7 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, tolerance, polygon):
                 kept += 1
         count = kept
         for m in range(count):
-            for e in range(4):
-                polygon[m, e] = other[m, e]
+            assign(polygon[m], other[m])
     return count
 
 

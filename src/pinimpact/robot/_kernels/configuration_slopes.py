@@ -11,6 +11,8 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import assign
+from ..._numeric.products import add
 from ...geometry._kernels import constants as layout
 from .contact_kinematics import distance, relative
 from .contact_motion import rates_at_contact
@@ -46,8 +48,7 @@ def fill_place(R, S, k, axes, turns, J, joint, parent, tip, base, at, shifts):
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     _, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
-    for i in range(9):
-        at[AXES + i] = axes[i]
+    assign(at[AXES : AXES + 9], axes)
     n1, n2, n3, r = axes[6], axes[7], axes[8], k[layout.RADIUS]
     at[POINT], at[POINT + 1], at[POINT + 2] = c1 - r * n1, c2 - r * n2, c3 - r * n3
     o1, o2, o3 = place(S, k, layout.POINT)
@@ -104,11 +105,9 @@ def fill_motions(J, joint, parent, x, out):
     out[0, :] = 0.0
     k = 0
     for i in range(1, len(parent)):
-        for r in range(6):
-            out[i, r] = out[parent[i], r]
+        assign(out[i], out[parent[i]])
         while k < len(joint) and joint[k] == i:
-            for r in range(6):
-                out[i, r] += J[r, k] * x[k]
+            add(out[i], x[k], J[:, k])
             k += 1
 
 
@@ -142,17 +141,14 @@ def fill_momenta(J, joint, parent, inertia, x, motions, out):
     last = len(joint) - 1
     for i in range(len(parent) - 1, 0, -1):  # descendants first
         beyond = out[parent[i]]
-        for r in range(6):
-            beyond[r] += out[i, r]
+        add(beyond, 1.0, out[i])
         while last >= 0 and joint[last] == i:
             f = _of_velocity(J, joint, inertia, last, x[last])
-            for r in range(6):
-                beyond[r] += f[r]
+            add(beyond, 1.0, f)
             last -= 1
         b = motions[i]
         f = _momentum(inertia, i, b[0], b[1], b[2], b[3], b[4], b[5])
-        for r in range(6):
-            out[i, r] += f[r]
+        add(out[i], 1.0, f)
 
 
 @inlined
@@ -181,8 +177,7 @@ def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
         i = joint[k]
         b, h = motions[parent[i]], momenta[i]
         bend = motion_cross(J, k, b[0], b[1], b[2], b[3], b[4], b[5])
-        for r in range(6):
-            bends[k, r] = bend[r]
+        assign(bends[k], bend)
         g1, g2, g3, g4, g5, g6 = _momentum(inertia, i, *bend)
         t1, t2, t3, t4, t5, t6 = _turned_by(J, k, h[0], h[1], h[2], h[3], h[4], h[5])
         f1, f2, f3, f4, f5, f6 = _of_velocity(J, joint, inertia, k, 1.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from ..._numeric.products import dot
+from ..._numeric.products import add, dot
 from .tree import solve_transposed
 
 
@@ -21,18 +21,14 @@ from .tree import solve_transposed
 def _take_out(direction, row):
     """Subtract from a row its component along a unit direction; return the component."""
     part = dot(direction, row)
-    for j in range(len(row)):
-        row[j] -= part * direction[j]
+    add(row, -part, direction)
     return part
 
 
 @inlined
 def _normalize(row):
     """Divide a row by its length, and return the length."""
-    total = 0.0
-    for x in row:
-        total += x * x
-    length = math.sqrt(total)
+    length = math.sqrt(dot(row, row))
     if length > 0.0:
         for j in range(len(row)):
             row[j] /= length
@@ -76,9 +72,8 @@ def delassus_factor(lower, parents, columns, signs, p1, p2, p3, y, out):
         errors[j, j] = sizes[j]
     solve_transposed(lower, parents, errors)
     total = 0.0
-    for i in range(n):
-        for j in range(n):
-            total += errors[i, j] * errors[i, j]
+    for row in errors:
+        total += dot(row, row)
     out[0] = _normalize(rows[0])
     out[1] = _take_out(rows[0], rows[1])
     out[2] = _normalize(rows[1])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import assign
 from .placement import along, cross, rotate, rotate_back, slide, turn_by_quaternion
 
 MASS, CENTER, INERTIA, INVERSE, PLACEMENT, BODY = 0, 1, 4, 13, 22, 34
@@ -24,8 +25,7 @@ def times(k, at, a, b, c):
 @inlined
 def set_placement(k, q, i, out):
     """Fill the placement (12,) of a joint with the coordinates q[i:i + 7]."""
-    for e in range(12):
-        out[e] = k[PLACEMENT + e]
+    assign(out[:12], k[PLACEMENT:])
     slide(out, q[i], q[i + 1], q[i + 2])
     turn_by_quaternion(out, q[i + 3], q[i + 4], q[i + 5], q[i + 6])
 
@@ -53,8 +53,7 @@ def move_bodies(joints, bodies, q, v, placements, velocities):
     for k in range(len(joints)):
         j = joints[k, 0]
         set_placement(bodies[k], q, joints[k, 1], placements[j])
-        for e in range(6):
-            velocities[j, e] = v[joints[k, 2] + e]
+        assign(velocities[j], v[joints[k, 2] :])
 
 
 @declared(

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from ..._numeric.elimination import largest_of
-from ..._numeric.loops import filled
+from ..._numeric.loops import assign, filled, largest
+from ..._numeric.products import add
 from ..._numeric.tolerances import EPS
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, SLIP_RESUMED, STICKS
 from ...contact_space._kernels.derivatives import SLOPES, differentiate_into
@@ -79,16 +79,14 @@ def impact_slopes(
         fill_momenta(J, joint, parent, inertia, y[a], motions[a], momenta[a])
         velocity_slopes(J, joint, parent, tip, base, at, shifts, motions[a], False, moved[a])
         for i in range(joints):
-            for r in range(6):  # those of −Δ
-                motions[3, i, r] -= impulse[a] * motions[a, i, r]
-                momenta[3, i, r] -= impulse[a] * momenta[a, i, r]
+            add(motions[3, i], -impulse[a], motions[a, i])  # those of −Δ
+            add(momenta[3, i], -impulse[a], momenta[a, i])
     for k in range(nv):
         i = joint[k]
         for a in range(3):
             x = motions[a, parent[i]]
             bend = motion_cross(J, k, x[0], x[1], x[2], x[3], x[4], x[5])
-            for r in range(6):
-                bends[a, r] = bend[r]
+            assign(bends[a], bend)
         row = 3
         for a in range(3):
             for b in range(a, 3):
@@ -145,7 +143,7 @@ def fill_kinks(delassus, velocity, still, friction, stops, data, kinks):
             return
     elif math.hypot(v1, v2) > still:
         return
-    speed, size = largest_of(data[:3].ravel(), 0), largest_of(data[3:].ravel(), 0)
+    speed, size = largest(data[:3].ravel()), largest(data[3:].ravel())
     across_v, across_b = n2 * v1 - n1 * v2, n2 * delassus[0, 2] - n1 * delassus[1, 2]
     for k in range(kinks.shape[1]):
         slip, pull = n1 * data[0, k] + n2 * data[1, k], n1 * data[5, k] + n2 * data[7, k]
@@ -268,8 +266,7 @@ def robot_slopes(work, q, v, e, slope, by_q, out, kinks):
     if not 0 <= status <= LOCKED:
         return status, 0
     fill_by_axes(columns, work.signs, geometry[12], geometry[13], geometry[14], geometry[:9], jacobian)
-    for i in range(9):
-        axes[i] = geometry[i]
+    assign(axes, geometry)
     impulse, n = numbers[0][3:6], nv if by_q else 0
     shifts = np.empty((n, SHIFT))
     fill_place(

@@ -20,6 +20,7 @@ from ..._compile.declared import (
     declared,
 )
 from ..._compile.jit import inlined, jit, released
+from ..._numeric.loops import assign
 from ..._numeric.products import dot
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import clear
@@ -153,8 +154,7 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
     for j in range(n):
         out[j] = v[j] + delta[j]
     rest = (*w, *relative, *geometry[9:12], *geometry[:9], *(a1, a2, a3, p1, p2, p3, pc, scale))
-    for i in range(SINGULAR):
-        out[n + i] = rest[i]
+    assign(out[n : n + SINGULAR], rest)
     return status, flags, iterations, beyond
 
 
@@ -220,10 +220,8 @@ def _keep(row, status, flags, out, after, impulses, codes, numbers):
         return
     codes[row, 1] = flags
     if len(numbers) > 0:
-        for i in range(SIZE):
-            numbers[row, i] = out[n + i]
-    for j in range(n):
-        after[row, j] = out[j]
+        assign(numbers[row], out[n:])
+    assign(after[row], out)
     axes, p = out[n + AXES :], out[n + AFTER + 3 :]
     for i in range(3):
         impulses[row, i] = p[0] * axes[i] + p[1] * axes[3 + i] + p[2] * axes[6 + i]

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
-from ..._compile.jit import external, inlined, jit
+from ..._compile.jit import external, jit
+from ..._numeric.products import add
 from ..._numeric.tolerances import EPS
 
 KNOWN = 10.0
@@ -123,13 +124,6 @@ def solve(lower, parents, rows):
             row[i] = x / lower[i, i]
 
 
-@inlined
-def _subtract_row(rows, i, part, j):
-    """Subtract a part of row j from row i."""
-    for k in range(rows.shape[1]):
-        rows[i, k] -= part * rows[j, k]
-
-
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def solve_mass(lower, parents, columns):
@@ -142,12 +136,12 @@ def solve_mass(lower, parents, columns):
             columns[i, k] *= inverse
         j = parents[i]
         while j >= 0:
-            _subtract_row(columns, j, lower[i, j], i)
+            add(columns[j], -lower[i, j], columns[i])
             j = parents[j]
     for i in range(n):
         j = parents[i]
         while j >= 0:
-            _subtract_row(columns, i, lower[i, j], j)
+            add(columns[i], -lower[i, j], columns[j])
             j = parents[j]
         inverse = 1.0 / lower[i, i]
         for k in range(m):

@@ -14,9 +14,9 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norms
-from ..._numeric.loops import assign
-from ..._numeric.products import apply_symmetric, dot, products
-from ..._numeric.tolerances import ROUNDOFF, TINY
+from ..._numeric.loops import assign, filled, largest_diagonal
+from ..._numeric.products import add, apply_symmetric, dot, products
+from ..._numeric.tolerances import NOISE, ROUNDOFF, TINY
 from .tolerances import (
     FINEST,
     LEAST_SIZE,
@@ -62,7 +62,7 @@ def joint_forces(work, powers):
 
 @inlined
 def set_up_equations(work, acceleration):
-    """Fill `equation_rows`, `force_response`, `system` and `target` of (9.3) for the active set.
+    """Fill the equations (9.3) of the active set: `equation_rows` to `target` of the workspace.
 
     The workspace has M⁻¹ and the motion of the active contacts without contact forces; `acceleration` (nv,)
     is the corresponding v̇. Returns the smallest ratio, over the slipping contacts, of the effective inverse
@@ -71,7 +71,7 @@ def set_up_equations(work, acceleration):
     minverse, jacobian, free = work.minverse, work.contact_jacobian, work.contact_acceleration
     mode, mu, directions = work.active_mode, work.active_friction, work.slip_direction
     rows, response, system, target = work.equation_rows, work.force_response, work.system, work.target
-    index = work.scalar_velocity
+    index, inverse = work.scalar_velocity, work.inverse_inertia
     n, size = len(acceleration), len(rows)
     column, alone = np.empty(n), np.empty(n)
     least = 1.0
@@ -80,24 +80,21 @@ def set_up_equations(work, acceleration):
         if mode[i] == SLIP:
             s1, s2 = slip_direction(work.contact_velocity[i], work.slip_reference[i], work.direction_speed)
             directions[i, 0], directions[i, 1] = s1, s2
-            plain = effective = 0.0
             for j in range(n):
                 rows[m, j] = jacobian[i, 2, j]
                 column[j] = rows[m, j] - mu[i] * (s1 * jacobian[i, 0, j] + s2 * jacobian[i, 1, j])
             apply_symmetric(minverse, rows[m], alone)
             apply_symmetric(minverse, column, response[m])
-            for j in range(n):
-                effective += rows[m, j] * response[m, j]
-                plain += rows[m, j] * alone[j]
-            if plain > 0.0:
-                least = min(least, effective / plain)
+            inverse[m] = dot(rows[m], alone)
+            if inverse[m] > 0.0:
+                least = min(least, dot(rows[m], response[m]) / inverse[m])
             target[m] = -free[i, 2]
             m += 1
         else:
             for d in range(3):
                 assign(rows[m], jacobian[i, d])
                 apply_symmetric(minverse, rows[m], response[m])
-                target[m] = -free[i, d]
+                inverse[m], target[m] = dot(rows[m], response[m]), -free[i, d]
                 m += 1
     for i in range(len(index)):
         metres = work.joint_metres[index[i]]
@@ -105,16 +102,12 @@ def set_up_equations(work, acceleration):
             rows[m, j] = 0.0
             response[m, j] = metres * minverse[j, index[i]]
         rows[m, index[i]] = metres
-        target[m] = -metres * acceleration[index[i]]
+        inverse[m], target[m] = metres * response[m, index[i]], -metres * acceleration[index[i]]
         m += 1
     products(rows, response, system)
-    largest = 0.0
+    largest = largest_diagonal(system)
     for a in range(size):
-        largest = max(largest, abs(system[a, a]))
-    for a in range(size):
-        if (
-            abs(system[a, a]) <= ROUNDOFF * largest
-        ):  # no force moves this row (out of the plane of a planar robot)
+        if abs(system[a, a]) <= ROUNDOFF * largest:  # no force moves it (out of the plane of a planar robot)
             for b in range(size):
                 system[a, b] = system[b, a] = 0.0
             system[a, a] = largest
@@ -137,7 +130,7 @@ def accelerates_inward(work):
 
     The rows of sticking contacts, joint stops and held joints, which may be redundant, are eliminated first.
     """
-    mode, system, rows, size = work.active_mode, work.system, work.equation_rows, len(work.target)
+    mode, system, size = work.active_mode, work.system, len(work.target)
     held, slips = np.empty(size, dtype=np.int64), np.empty(len(mode), dtype=np.int64)
     row = holding = slipping = 0
     for k in range(len(mode)):
@@ -157,16 +150,14 @@ def accelerates_inward(work):
             part[a, b] = system[held[a], held[b]]
         for k in range(slipping):
             given[k, a] = system[slips[k], held[a]]
-    answer, alone = np.zeros((slipping, holding)), np.empty(rows.shape[1])
+    answer = np.zeros((slipping, holding))
     if holding > 0:
-        least_norms(part, given, FINEST, answer, np.empty((0, holding)))
+        least_norms(part, given, NOISE, answer, np.empty((0, holding)))
     free, plain, count = np.empty(slipping, dtype=np.int64), np.empty(slipping), 0
     for k in range(slipping):
-        apply_symmetric(work.minverse, rows[slips[k]], alone)
-        whole = remainder = dot(rows[slips[k]], alone)
-        for a in range(holding):
-            remainder -= answer[k, a] * given[k, a]
-        if remainder > FINEST * whole:  # else the row depends on the eliminated ones: no force moves it
+        whole = work.inverse_inertia[slips[k]]
+        remainder = whole - dot(answer[k], given[k])
+        if remainder > NOISE * whole:  # else the row depends on the eliminated ones: no force moves it
             free[count], plain[count] = k, remainder
             count += 1
     effective = np.empty((count, count))
@@ -206,8 +197,8 @@ def may_grow(effective):
         if minors < -NEGLIGIBLE * scale:
             return True
         for k in range(n):
-            for m in range(n):
-                power[k, m] = -product[k, m]
+            filled(power[k], 0.0)
+            add(power[k], -1.0, product[k])
             power[k, k] += minors
     return False
 
@@ -230,17 +221,15 @@ def solve_redundant(work, system, rights, found, null):
     Returns:
         The rank.
     """
-    rows, size, largest = work.equation_rows, len(system), 0.0
-    d, alone, scaled, sides = np.empty(size), np.empty(work.nv), np.empty((size, size)), rights.copy()
-    for a in range(size):
-        apply_symmetric(work.minverse, rows[a], alone)
-        d[a] = max(dot(rows[a], alone), system[a, a])  # of a row that no force moves: see `set_up_equations`
+    size, largest, d, scaled, sides = len(system), 0.0, np.empty(len(system)), system.copy(), rights.copy()
+    for a in range(size):  # the diagonal entry is larger for rows that no force moves
+        d[a] = max(work.inverse_inertia[a], system[a, a])
         largest = max(largest, d[a])
     for a in range(size):
         d[a] = 1.0 / math.sqrt(max(d[a], ROUNDOFF * largest, TINY))
     for a in range(size):
         for b in range(size):
-            scaled[a, b] = d[a] * system[a, b] * d[b]
+            scaled[a, b] *= d[a] * d[b]
         for side in sides:
             side[a] *= d[a]
     rank = least_norms(scaled, sides, work.rank_tolerance, found, null)
@@ -248,13 +237,30 @@ def solve_redundant(work, system, rights, found, null):
         for a in range(size):
             x[a] *= d[a]
     for k in range(min(size - rank, len(null))):
-        square = 0.0
         for a in range(size):
             null[k, a] *= d[a]
-            square += null[k, a] ** 2
+        length = math.sqrt(dot(null[k], null[k]))
         for a in range(size):
-            null[k, a] /= math.sqrt(square)
+            null[k, a] /= length
     return rank
+
+
+@declared(SceneWorkspace, FLOAT_ROWS)
+@external
+def add_reactions(work, effects):
+    """Add to accelerations (k, nv) those of the forces that keep the active rows from accelerating."""
+    rows, response, size, count = work.equation_rows, work.force_response, len(work.target), len(effects)
+    targets, reactions, no_basis = np.empty((count, size)), np.empty((count, size)), np.empty((0, size))
+    for c in range(count):
+        for m in range(size):
+            targets[c, m] = -dot(rows[m], effects[c])
+    if size > 0 and work.forces_unique:
+        least_norms(work.system, targets, RANK, reactions, no_basis)
+    elif size > 0:
+        solve_redundant(work, work.system, targets, reactions, no_basis)
+    for c in range(count):
+        for m in range(size):
+            add(effects[c], reactions[c, m], response[m])
 
 
 @declared(SceneWorkspace)
@@ -304,8 +310,7 @@ def limit_of_compliances(work):
             overlap[a, b] = dot(left_null[a], right_null[b])
     if solve(overlap, right, part, RANK) != 0:
         for a in range(free):
-            for b in range(size):
-                x[b] += part[a] * right_null[a, b]
+            add(x, part[a], right_null[a])
     return False
 
 
@@ -367,12 +372,6 @@ def mass_at_contact(work, i):
 
 
 @inlined
-def mass_at_joint(work, j):
-    """Return the mass of the tree of the joint with velocity j [kg]."""
-    return work.tree_mass[work.velocity_joint[j]]
-
-
-@inlined
 def row_tolerances(work):
     """Fill `row_tolerance`, the forces of the active rows that are taken as zero."""
     mode, index, found = work.active_mode, work.active_index, work.row_tolerance
@@ -385,7 +384,7 @@ def row_tolerances(work):
         if i < len(mode):
             mass = mass_at_contact(work, index[i])
         else:
-            mass = mass_at_joint(work, work.scalar_velocity[i - len(mode)])
+            mass = work.tree_mass[work.velocity_joint[work.scalar_velocity[i - len(mode)]]]
         for b in range(last - rows, last):
             found[b] = negligible_force(work, mass, system[a, a], response[a], system[a], solution)
 
@@ -395,8 +394,7 @@ def accelerate(work, acceleration):
     """Add the effect of the forces `work.solution` to v̇ (nv,)."""
     solution, response = work.solution, work.force_response
     for m in range(len(solution)):
-        for j in range(len(acceleration)):
-            acceleration[j] += response[m, j] * solution[m]
+        add(acceleration, solution[m], response[m])
 
 
 @declared(SceneWorkspace, FLOATS)

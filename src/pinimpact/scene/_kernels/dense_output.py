@@ -11,6 +11,7 @@ from numpy.polynomial import Polynomial
 
 from ..._compile.declared import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, declared
 from ..._compile.jit import external, inlined, jit
+from ..._numeric.products import add
 from .lie_charts import advance
 from .workspace import DENSE_TERMS, SceneWorkspace
 
@@ -49,8 +50,7 @@ def state(coefficients, theta, joints, q0, v0, q, v):
     xi = np.empty(n)
     interpolate(coefficients[:, :n], theta, xi)
     interpolate(coefficients[:, n : 2 * n], theta, v)
-    for m in range(n):
-        v[m] += v0[m]
+    add(v, 1.0, v0)
     advance(joints, q0, xi, q)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, INTEGER_ROWS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import assign
 from .tolerances import TURN
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
@@ -116,8 +117,7 @@ def chart_rate(joints, xi, v, rate):
 @jit
 def turn_axes(joints, turn, v, out):
     """Fill out (nv,) with v in axes of free bodies that have turned by exp(φ), φ from `turn` (nv,)."""
-    for m in range(len(v)):
-        out[m] = v[m]
+    assign(out, v)
     for k in range(joints.shape[0]):
         kind, j = joints[k, 0], joints[k, 2]
         if kind == PLANAR:

@@ -10,7 +10,7 @@ from ..._compile.declared import FLAGS, FLOATS, FOUR_FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_newton import VelocityProblem, law_of_steps, rates
 from ..._numeric.loops import assign, flags
-from ..._numeric.products import apply_symmetric
+from ..._numeric.products import add, apply_symmetric
 from ..._numeric.tolerances import NOISE, SETTLED, SOFTEST
 from ...geometry._kernels.constants import ABSENT, KIND, RADIUS
 from .dynamics import (
@@ -149,8 +149,7 @@ def bend_rows(work, h, rows, acceleration, turning, offset, found):
 def velocities(rows, offset, v, out):
     """Fill out (rows,) with the row velocities J v + offset [m/s]."""
     rates(rows.values, rows.columns, rows.counts, v, out)
-    for a in range(len(out)):
-        out[a] += offset[a]
+    add(out, 1.0, offset)
 
 
 @inlined
@@ -478,7 +477,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
         again = np.empty(n), np.empty(found.course.shape), begin.copy(), np.empty(nv)
         given = SOFTEST, SETTLED, again[2], again[3], again[0], again[1]
         residual = max(residual, step_impulses(problem, active, system.tree, *given))
-        replace_struck(rows, system, found, begin, change, again)
+        replace_struck(rows, found, begin, change, again)
         add_change(work, system, change, v_end)
     for c in range(nv):
         if system.rests[work.velocity_joint[c]]:

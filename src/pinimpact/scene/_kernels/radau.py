@@ -13,6 +13,7 @@ from numpy.polynomial import Polynomial
 
 from ..._compile.jit import inlined
 from ..._numeric.loops import assign, filled
+from ..._numeric.products import add, dot
 from .dense_output import BASIS, rate_bounds
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
@@ -76,7 +77,7 @@ def advance_to(work, i, h, v):
     rates, v0, xi = work.stage_rates, work.v0, work.xi
     n = len(v0)
     for m in range(n):
-        a = b = 0.0
+        a = b = 0.0  # independent sums, which is faster
         for j in range(STAGES):
             a += MATRIX[i, j] * rates[1 + j, m]
             b += MATRIX[i, j] * rates[1 + j, n + m]
@@ -99,8 +100,7 @@ def evaluate_stage(work, i, t, h, change):
     if work.callback_failed:
         return False
     record_sample(work, i + 1, ABSCISSAE[i])
-    for m in range(width):
-        change[m] -= rates[1 + i, m]
+    add(change, -1.0, rates[1 + i])
     return True
 
 
@@ -109,8 +109,7 @@ def change_rates(rates, changes, h, scale):
     """Add changes to the stage rates; return their size relative to the tolerance, root mean square."""
     size = 0.0
     for i in range(STAGES):
-        for m in range(rates.shape[1]):
-            rates[1 + i, m] += changes[i, m]
+        add(rates[1 + i], 1.0, changes[i])
         for m in range(len(scale)):
             size += (h * changes[i, m] * scale[m]) ** 2
     return math.sqrt(size / (len(scale) * STAGES))
@@ -120,10 +119,7 @@ def change_rates(rates, changes, h, scale):
 def start_error(rates, h, error):
     """Fill error (2 nv,) with γ h times the rate at the start minus that of the interpolating polynomial."""
     for m in range(len(error)):
-        total = rates[0, m]
-        for j in range(STAGES):
-            total -= AT_START[j] * rates[1 + j, m]
-        error[m] = GAMMA * h * total
+        error[m] = GAMMA * h * (rates[0, m] - dot(AT_START, rates[1:, m]))
 
 
 @inlined
@@ -188,11 +184,7 @@ def complete(work, t, h):
     rates, coefficients = work.stage_rates, work.dense_coefficients
     rate_bounds(rates, 1 + STAGES, n, work.rate_bounds)
     for m in range(rates.shape[1]):
-        late = rates[0, m] if m < n else 0.0  # corrected for ξ only, whose initial rate is exact
-        for j in range(STAGES):
-            late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
+        # corrected for ξ only, whose initial rate is exact
+        late = rates[0, m] - dot(AT_START, rates[1:, m]) if m < n else 0.0
         for k in range(7):
-            total = late * START[k]
-            for j in range(STAGES):
-                total += DENSE[k, j] * rates[1 + j, m]
-            coefficients[k, m] = h * total
+            coefficients[k, m] = h * (late * START[k] + dot(DENSE[k], rates[1:, m]))

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..._compile.declared import declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, largest
+from ..._numeric.products import dot
 from . import bogacki_shampine, dopri5, explicit_midpoint
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
@@ -116,12 +117,9 @@ def reaction_error(h, weights, reactions, tree, v0, v1, rtol, atol):
     """
     e3 = e5 = 0.0
     for m in range(tree[0], tree[1]):
-        a = b = largest = 0.0
-        for j in range(len(reactions)):
-            largest = max(largest, abs(reactions[j, m]))
-            a += weights[0, j] * reactions[j, m]
-            b += weights[1, j] * reactions[j, m]
-        scale = 1.0 / (atol + rtol * max(abs(v0[m]), abs(v1[m]), abs(h) * largest))
+        a, b = dot(reactions[:, m], weights[0]), dot(reactions[:, m], weights[1])
+        size = max(abs(v0[m]), abs(v1[m]), abs(h) * largest(reactions[:, m]))
+        scale = 1.0 / (atol + rtol * size)
         e3 += (a * scale) ** 2
         e5 += (b * scale) ** 2
     if e3 == 0.0 and e5 == 0.0:
@@ -136,7 +134,7 @@ def set_stage(work, i, h):
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
     n, weights = len(v0), STEPS[work.method, i]
     for m in range(n):
-        a = b = 0.0
+        a = b = 0.0  # independent sums, which is faster
         for j in range(i):
             c = weights[j]
             a += c * rates[j, m]
@@ -184,17 +182,12 @@ def complete(work, t, h):
         record_sample(work, SAMPLES[0, i], NODES[i])
     work.samples = SAMPLE_COUNTS[which]
     for m in range(rates.shape[1]):
-        total = 0.0
-        for j in range(last):
-            total += STEPS[which, last, j] * rates[j, m]
+        total = dot(rates[:last, m], STEPS[which, last])
         out[0, m] = h * total
         out[1, m] = h * (rates[0, m] - total)
         out[2, m] = h * (2.0 * total - rates[0, m] - rates[last, m])
         for k in range(4):
-            value = 0.0
-            for j in range(used):
-                value += DENSES[which, k, j] * rates[j, m]
-            out[3 + k, m] = h * value
+            out[3 + k, m] = h * dot(rates[:used, m], DENSES[which, k])
 
 
 @inlined
@@ -204,6 +197,5 @@ def begin_next(work):
     assign(work.q0, work.q1)
     assign(v0, work.v1)
     assign(rates[0], rates[last])
-    for m in range(len(v0)):
-        rates[0, m] = v0[m]
-        work.stage_reactions[0, m] = work.stage_reactions[last, m]
+    assign(rates[0, : len(v0)], v0)
+    assign(work.stage_reactions[0], work.stage_reactions[last])

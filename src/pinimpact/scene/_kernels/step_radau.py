@@ -18,9 +18,9 @@ import numpy as np
 from ..._compile.declared import declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.loops import assign, nonzero
-from ..._numeric.products import apply_symmetric
-from .contact_forces import SLIP, solve_redundant
+from ..._numeric.loops import assign, largest, nonzero
+from ..._numeric.products import add, apply_symmetric, dot
+from .contact_forces import SLIP, add_reactions
 from .radau import GAMMA, MATRIX, SLOW, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
 from .stiff_drives import add_response, driven_at, filter_error
@@ -40,27 +40,16 @@ def fill_turn_effect(work, k, s1, s2, across, effect):
     They are those of the state last evaluated.
     """
     mode, mu, jacobian = work.active_mode, work.active_friction, work.contact_jacobian
-    equations, response, solution = work.equation_rows, work.force_response, work.solution
-    n, size = len(across), len(solution)
-    row = 0
+    n, row = len(across), 0
     for i in range(k):
         row += 1 if mode[i] == SLIP else 3
-    force = mu[k] * solution[row]
-    pushed, change, reaction = np.empty(n), np.empty((1, size)), np.empty((1, size))
+    force, found = mu[k] * work.solution[row], np.zeros((1, n))
     for j in range(n):
         across[j] = s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]
-        pushed[j] = -force * across[j]
-    apply_symmetric(work.minverse, pushed, effect)
-    for m in range(size):
-        total = 0.0
-        for j in range(n):
-            total -= equations[m, j] * effect[j]
-        change[0, m] = total
-    if not work.forces_unique or solve(work.system, change[0], reaction[0], RANK) == 0:
-        solve_redundant(work, work.system, change, reaction, np.empty((0, size)))
-    for m in range(size):
-        for j in range(n):
-            effect[j] += response[m, j] * reaction[0, m]
+    apply_symmetric(work.minverse, across, effect)
+    add(found[0], -force, effect)
+    add_reactions(work, found)
+    assign(effect, found[0])
 
 
 class Turning(NamedTuple):
@@ -132,15 +121,12 @@ def correct(work, t, h, known, changes):
             row = i * count + c
             matrix[row] = 0.0
             for j in range(s):
-                for m in range(n):
-                    right[row] -= h * MATRIX[i, j] * across[i, c, m] * changes[j, n + m]
+                right[row] -= h * MATRIX[i, j] * dot(across[i, c], changes[j, n:])
                 for d in range(count):
                     for o in range(s):
                         if not drives and o != j:
                             continue
-                        total = 0.0
-                        for m in range(n):
-                            total += across[i, c, m] * answer[j, d, o, n + m]
+                        total = dot(across[i, c], answer[j, d, o, n:])
                         matrix[row, j * count + d] += h * MATRIX[i, o] * total
             matrix[row, row] -= speeds[i, c]
     equilibrate(matrix, right)
@@ -150,8 +136,7 @@ def correct(work, t, h, known, changes):
         for c in range(count):
             change = angle[i * count + c]
             for o in range(s):
-                for m in range(2 * n):
-                    changes[o, m] += answer[i, c, o, m] * change
+                add(changes[o, : 2 * n], change, answer[i, c, o])
             x, y = math.cos(change), math.sin(change)
             s1, s2 = directions[i, c, 0], directions[i, c, 1]
             directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
@@ -162,13 +147,11 @@ def correct(work, t, h, known, changes):
 def equilibrate(matrix, right):
     """Divide each equation by its largest coefficient, since speeds may differ by orders of magnitude."""
     for a in range(len(right)):
-        largest = 0.0
-        for b in range(len(right)):
-            largest = max(largest, abs(matrix[a, b]))
-        if largest > 0.0:
+        size = largest(matrix[a])
+        if size > 0.0:
             for b in range(len(right)):
-                matrix[a, b] /= largest
-            right[a] /= largest
+                matrix[a, b] /= size
+            right[a] /= size
 
 
 @inlined
@@ -183,20 +166,14 @@ def finish(work, h, known, error):
         assign(relieved[c, n:], effect[0, c])
         filter_error(h, driven, relieved[c])
     for c in range(count):
-        right[c] = 0.0
-        for m in range(n):
-            right[c] += across[0, c, m] * error[n + m]
+        right[c] = dot(across[0, c], error[n:])
         for d in range(count):
-            total = 0.0
-            for m in range(n):
-                total += across[0, c, m] * relieved[d, n + m]
-            matrix[c, d] = -GAMMA * h * total
+            matrix[c, d] = -GAMMA * h * dot(across[0, c], relieved[d, n:])
         matrix[c, c] += speeds[0, c]
     equilibrate(matrix, right)
     if count > 0 and solve(matrix, right, turned, RANK) != 0:
         for c in range(count):
-            for m in range(2 * n):
-                error[m] += GAMMA * h * relieved[c, m] * turned[c]
+            add(error, GAMMA * h * turned[c], relieved[c])
     for c in range(count):
         assign(work.slip_reference[slips[c]], directions[len(directions) - 1, c])
         assign(work.end_directions[slips[c]], directions[len(directions) - 1, c])

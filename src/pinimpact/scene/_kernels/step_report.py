@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import inlined, jit
-from ..._numeric.elimination import largest_of
+from ..._numeric.loops import largest
 from ..._numeric.tolerances import ROUNDING
 from .contact_forces import FREE, HELD, SLIP, STICK
 from .force_evaluation import places_of_contacts
@@ -149,7 +149,7 @@ def report_step(work, h, still, start, v, system, rows, found, coefficients, for
     scalar_modes(work, still, rows, found, dried)
     dense_motion(work, h, start, found.v_end, coefficients)
     joint_powers(work, h, v, system, found, dried, powers[:2])
-    rounding = ROUNDING * largest_of(impulse, 0)
+    rounding = ROUNDING * largest(impulse)
     contact_motion(work, h, still, rounding, rows, found, powers[2:], forces)
     for k in range(4):
         coefficients[0, 2 * nv + k] = 0.5 * (powers[k, 0] + powers[k, 1])

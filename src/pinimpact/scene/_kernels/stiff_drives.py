@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
+from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
-from ..._numeric.elimination import RANK
-from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
-from .contact_forces import solve_redundant
+from ..._numeric.products import add
+from .contact_forces import add_reactions
 from .dynamics import evaluate, invert_mass_matrix, set_state
 from .radau import GAMMA, MATRIX, SLOW, STAGES
 from .workspace import SceneWorkspace
@@ -51,28 +50,12 @@ def law(work, j):
     return work.drive_stiffness[j], work.drive_damping[j] + work.damping[j]
 
 
-@declared(SceneWorkspace, INTEGERS, FLOAT_ROWS)
-@external
+@inlined
 def fill_response(work, driven, response):
     """Fill response (k, nv) with v̇ per unit force of each drive, at the state last evaluated with M⁻¹."""
-    rows, effect, minverse = work.equation_rows, work.force_response, work.minverse
-    n, size, count = len(minverse), len(rows), len(driven)
-    targets, reactions, no_basis = np.empty((count, size)), np.empty((count, size)), np.empty((0, size))
-    for c in range(count):
-        assign(response[c], minverse[driven[c]])
-        for m in range(size):
-            total = 0.0
-            for j in range(n):
-                total -= rows[m, j] * response[c, j]
-            targets[c, m] = total
-    if size > 0 and work.forces_unique:
-        least_norms(work.system, targets, RANK, reactions, no_basis)
-    elif size > 0:
-        solve_redundant(work, work.system, targets, reactions, no_basis)
-    for c in range(count):
-        for m in range(size):
-            for j in range(n):
-                response[c, j] += reactions[c, m] * effect[m, j]
+    for c in range(len(driven)):
+        assign(response[c], work.minverse[driven[c]])
+    add_reactions(work, response)
 
 
 @declared(SceneWorkspace)
@@ -195,8 +178,7 @@ def add_response(h, driven, changes):
                 force[i, c] -= effect * right[j * k + c]
     for i in range(s):
         for c in range(k):
-            for m in range(n):
-                changes[i, n + m] += response[c, m] * force[i, c]
+            add(changes[i, n : 2 * n], force[i, c], response[c])
             for j in range(s):
                 changes[i, index[c]] += h * MATRIX[i, j] * right[j * k + c]
 
@@ -218,7 +200,6 @@ def filter_error(h, driven, error):
     substitute(matrix, order, right)
     for c in range(k):
         force = stiffness[c] * error[index[c]] + (damping[c] + step * stiffness[c]) * right[c]
-        for m in range(n):
-            error[n + m] -= step * response[c, m] * force
+        add(error[n:], -step * force, response[c])
     for c in range(k):
         error[index[c]] += step * error[n + index[c]]

@@ -42,11 +42,11 @@ def mark_struck(rows, system, active, found):
 
 
 @inlined
-def replace_struck(rows, system, found, begin, change, others):
+def replace_struck(rows, found, begin, change, others):
     """Replace the results of struck islands by those of their second contact problem.
 
     Args:
-        rows, system: The `StepRows` and the `StepSystem`.
+        rows: The `StepRows`.
         found: The `StepResult`; its impulses and iterations are replaced, and kept as `tried`.
         begin, change: (nv,) see `step_impulses`.
         others: The second impulses, iterations, `begin` and `change`.

@@ -14,13 +14,13 @@ from ..._compile.declared import FLOAT_ROWS, FloatRows, Floats, Integers, declar
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
-from ..._numeric.loops import assign, nonzero
+from ..._numeric.loops import assign, largest_diagonal, nonzero
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import RANK, ROUNDOFF
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
-from .contact_forces import FREE, SLIP, mass_at_contact, mass_at_joint, negligible_force
+from .contact_forces import FREE, SLIP, mass_at_contact, negligible_force
 from .dynamics import follow_surface, motion_of_contact
 from .tolerances import LEAST_SIZE, NEGLIGIBLE, ROUNDED
 
@@ -133,9 +133,7 @@ def determines_forces(delassus):
     """Return whether the Delassus matrix (m, m) is regular, apart from rows that no force moves."""
     size = len(delassus)
     rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)), RANK)
-    stiffest = 0.0
-    for a in range(size):
-        stiffest = max(stiffest, delassus[a, a])
+    stiffest = largest_diagonal(delassus)
     for a in range(size):
         rank += delassus[a, a] <= ROUNDOFF * stiffest
     return rank == size
@@ -177,9 +175,10 @@ def negligible_forces(work, what, response, delassus, force):
     for a in range(len(force)):
         if a < closed and a % 3 != 2:
             continue
-        mass = mass_at_contact(work, what.contacts[a // 3]) if a < closed else 0.0
-        if a >= closed:
-            mass = mass_at_joint(work, what.scalars[a - closed])
+        if a < closed:
+            mass = mass_at_contact(work, what.contacts[a // 3])
+        else:
+            mass = work.tree_mass[work.velocity_joint[what.scalars[a - closed]]]
         found[a] = negligible_force(work, mass, delassus[a, a], response[a], delassus[a], force)
     return found
 

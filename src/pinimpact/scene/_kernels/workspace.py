@@ -110,6 +110,7 @@ class SceneWorkspace(Workspace):
     slip_direction = reals("active_contacts", 2, meaning="directions opposite to friction")
     equation_rows = reals("active_rows", "nv", meaning="G of (9.3): rows with zero acceleration [m/s²]")
     force_response = reals("active_rows", "nv", meaning="(M⁻¹H)ᵀ: v̇ per unit of each force")
+    inverse_inertia = reals("active_rows", meaning="of each row of G, without friction [1/kg]")
     system = reals("active_rows", "active_rows", meaning="matrix G M⁻¹H of (9.3)")
     target = reals("active_rows", meaning="right-hand side −a° of (9.3)")
     solution = reals("active_rows", meaning="solution x of (9.3) [N]")
