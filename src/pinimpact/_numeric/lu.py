@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.jit import external
+from .products import add
 
 
 @declared(FLOAT_ROWS, INTEGERS)
@@ -48,3 +49,21 @@ def substitute(factors, order, right):
         for b in range(a + 1, size):
             right[a] -= factors[a, b] * right[b]
         right[a] /= factors[a, a]
+
+
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
+@external
+def substitute_all(factors, order, right):
+    """Replace right-hand sides (n, k) by the solutions (n, k), given the result of `factorize`."""
+    size, columns = right.shape
+    for a in range(size):
+        for c in range(columns):
+            right[a, c], right[order[a], c] = right[order[a], c], right[a, c]
+    for a in range(size):
+        for b in range(a):
+            add(right[a], -factors[a, b], right[b])
+    for a in range(size - 1, -1, -1):
+        for b in range(a + 1, size):
+            add(right[a], -factors[a, b], right[b])
+        for c in range(columns):
+            right[a, c] /= factors[a, a]
