@@ -9,7 +9,7 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, filled, ones
 from ..._numeric.lu import factorize, substitute_all
-from ..._numeric.products import add, add_product
+from ..._numeric.products import add, add_product, apply_symmetric
 from ..._numeric.tolerances import RANK, ROUNDOFF, TINY
 
 
@@ -198,21 +198,40 @@ def stop(rows, response, first, x):
     rows (m, 2 nv) are the derivatives of these velocities; NaN in one of them gives NaN in the result.
     Impulses change x from row `first` on by response (nv, m).
     """
-    m, n = len(rows), x.shape[1]
-    matrix, missed, forces = np.zeros((m, m)), np.zeros((m, n)), np.zeros((n, m))
+    m, end = len(rows), x.copy()
+    missed, matrix = np.zeros((m, x.shape[1])), np.zeros((m, m))
+    add_product(rows, x, missed)
+    add_product(rows[:, first : first + len(response)].copy(), response, matrix)
+    unit, inverse = np.zeros((m, m)), np.zeros((m, m))
     for a in range(m):
-        for k in range(len(x)):
-            if rows[a, k] != 0.0:
-                add(missed[a], rows[a, k], x[k])
-                if first <= k < first + len(response):
-                    add(matrix[a], rows[a, k], response[k - first])
-    least_norms(matrix, missed.T.copy(), RANK, forces, np.empty((0, m)))
-    end = x.copy()
-    for j in range(len(response)):
-        for a in range(m):
-            for c in range(n):
-                end[first + j, c] -= response[j, a] * forces[c, a]
+        unit[a, a] = -1.0
+    least_norms(matrix, unit, RANK, inverse, np.empty((0, m)))
+    forces = np.zeros(missed.shape)
+    add_product(inverse.T.copy(), missed, forces)
+    add_product(response, forces, end[first : first + len(response)])
     return end
+
+
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
+@jit
+def admitted(rows, gaps, response, inverse, x):
+    """Return variations x (2 nv, n) at a start, projected onto those that active contacts admit.
+
+    Args:
+        rows: (m, 2 nv) derivatives of the velocities that vanish.
+        gaps: (k,) those of them that are rates of gaps, which stay closed.
+        response: (nv, m) derivatives of v̇ by the forces.
+        inverse: (nv, nv) M⁻¹.
+        x: (2 nv, n) variations.
+    """
+    nv, k = len(inverse), len(gaps)
+    place, pushed, rate = np.zeros((k, 2 * nv)), np.empty((nv, k)), np.empty(nv)
+    for a in range(k):
+        assign(place[a, :nv], rows[gaps[a], nv:])
+        apply_symmetric(inverse, place[a, :nv], rate)
+        for j in range(nv):
+            pushed[j, a] = rate[j]
+    return stop(rows, response, nv, stop(place, pushed, 0, x))
 
 
 @inlined
