@@ -12,12 +12,14 @@ import pinocchio as pin
 from .._numeric.tolerances import COMPUTED, ROUNDING, STALLED, TINY
 from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
+from ..robot._kernels.configuration_slopes import PLACE, SHIFT
 from ..robot.derivatives import check_joints
 from ..robot.forest import mass_matrix
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID
+from ._kernels.step_iterations import Changes, Places, iteration_equations
 from ._kernels.tolerances import STEPS_DRIFT
 from .control_slopes import change_of_forces
 from .dense_step import DenseStep
@@ -36,7 +38,7 @@ class _Rows(NamedTuple):
     Attributes:
         jacobian: (rows, nv) Jacobian.
         slopes: Derivatives of the contacts by q.
-        turns: (k, 3, 3) rotations from the axes of `slopes` to those of the rows.
+        places: Places of the contacts, with rotations from the axes of `slopes` to those of the rows.
         start: (rows, n) changes of the velocities at the start.
         end: (rows, n) changes of the velocities at the end, at constant v⁺.
         gaps: (rows, n) changes of the gaps, in normal rows.
@@ -44,7 +46,7 @@ class _Rows(NamedTuple):
 
     jacobian: Array
     slopes: RowSlopes
-    turns: Array
+    places: Places
     start: Array
     end: Array
     gaps: Array
@@ -348,30 +350,23 @@ class StepSlopes:
         softened = self._softened(rows, response, largest, (middle, length), matrices)
         closing = rows.end + np.where(law.closes, 1.0 / h, 0.0)[:, None] * rows.gaps
         closing -= np.outer(law.targets / h, length)
-        impulses, forces, by_friction = np.zeros_like(rows.end), np.zeros_like(known), np.zeros_like(rows.end)
+        impulses, by_friction = np.zeros((2, *rows.end.shape))
         for column, contact in enumerate(self._friction, known.shape[1] - len(self._friction)):
             of = taken.rows.contacts == contact
             by_friction[: 3 * len(of), column] = np.repeat(of, 3)
-        v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
-        tied = False
-        for one in law.iterations(response, largest, otherwise):
-            own = one.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
-            forces, moving = rows.slopes.forces(own[:, 0]) @ middle, closing
-            pushed = forces
-            if one.shift.any():
-                pushed = forces - rows.slopes.of_mass(one.shift) @ middle
-                pushed -= np.outer(softer * one.shift, length)
-                moving, motions = closing.copy(), rows.slopes.tree.motions(one.shift)
-                for k, row in enumerate(rows.slopes.rows):
-                    moving[3 * k : 3 * k + 3] += rows.turns[k] @ row.slopes(motions) @ middle
-            impulses = one.kept @ impulses - one.stiff @ moving + one.bent[:, None] * softened
-            impulses += np.outer(one.by_length, length) + one.by_friction[:, None] * by_friction
-            matrix = total + jacobian.T @ one.stiff @ jacobian
-            v_end = np.asarray(np.linalg.solve(matrix, known + pushed + jacobian.T @ impulses), dtype=float)
-            impulses -= one.stiff @ (jacobian @ v_end)
-            tied |= one.tied
+        data = Changes(jacobian, total, softer, middle, length, known, closing, softened, by_friction)
+        stiff, forces, still = np.zeros((len(closing), len(closing))), *np.zeros((2, *total.shape))
+        course, tied, v_end = law.iterations(response, largest), False, np.zeros_like(known)
+        for one in course:
+            turned = rows.slopes.of_mass(one.shift) if one.shift.any() else still
+            given = law.numbers, rows.places, data, *one, turned, otherwise
+            matrix, right, kink = iteration_equations(*given, v_end, stiff, impulses, forces)
+            v_end, tied = np.asarray(np.linalg.solve(matrix, right), dtype=float), tied or kink
+        if not course:
+            v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
+        impulses -= stiff @ (jacobian @ v_end)
         u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
-        after = forces + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
+        after = forces @ middle + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
         after -= np.outer(softer * change, length)
         mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
         return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, tied)
@@ -390,9 +385,9 @@ class StepSlopes:
         for top in np.unique(largest).tolist():
             y, k = response[:, top], top // 3
             turned = np.zeros(out.shape[1])
-            if k < len(rows.turns):
+            if k < len(rows.slopes.rows):
                 slopes = rows.slopes.rows[k].slopes(rows.slopes.tree.motions(y))
-                turned = 2.0 * (rows.turns[k] @ slopes)[top % 3] @ middle
+                turned = 2.0 * (rows.places.turns[k] @ slopes)[top % 3] @ middle
             turned = turned - y @ rows.slopes.of_mass(y) @ middle - y @ (softer * y) * length
             out[largest == top] = turned / max(rows.jacobian[top] @ y, TINY)
         return out
@@ -431,7 +426,14 @@ class StepSlopes:
             end[: len(turned)] += turned
             gaps[2 : len(turned) : 3] -= 0.25 * h * every[:, 2]
             gaps[2 : len(turned) : 3, -1] -= 0.125 * h * bends.bends[:, 2]
-        self._known = taken, _Rows(jacobian, slopes, turns, start, end, gaps)
+        at = [row.place for row in slopes.rows]
+        tips, bases = (
+            np.array([getattr(one, name) for one in at], dtype=np.int64) for name in ("tip", "base")
+        )
+        stacks = np.array([one.at for one in at]).reshape(-1, PLACE), np.array([one.shifts for one in at])
+        shifts = stacks[1].reshape(-1, nv, SHIFT)
+        places = Places(*slopes.tree, tips, bases, stacks[0], shifts, taken.axes, turns)
+        self._known = taken, _Rows(jacobian, slopes, places, start, end, gaps)
         return self._known[1]
 
     # ---- impacts, dense output and removal of overlap
