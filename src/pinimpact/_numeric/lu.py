@@ -30,8 +30,7 @@ def factorize(matrix, order):
                 matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
         for a in range(k + 1, size):
             matrix[a, k] /= matrix[k, k]
-            for b in range(k + 1, size):
-                matrix[a, b] -= matrix[a, k] * matrix[k, b]
+            add(matrix[a, k + 1 :], -matrix[a, k], matrix[k, k + 1 :])
     return True
 
 

@@ -18,6 +18,7 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
 from ..geometry._kernels.constants import TIP_PLANE
 from ._kernels import configuration_slopes as places
+from ._kernels.row_slopes import Rows
 from .contact import Contact
 from .corner_motion import Corner
 from .derivatives import Place, Tree, contact_place, responses, slope_of_restitution
@@ -174,6 +175,16 @@ class RowSlopes:
         for row, axes, impulse in zip(self.rows, self.axes, impulses, strict=True):
             row.add_forces(axes.T @ impulse, out)
         return out
+
+
+def stacked(tree: Tree, rows: Sequence[ContactRow]) -> Rows:
+    """Return the places of contacts as arrays."""
+    places_of = [row.place for row in rows]
+    tips = np.array([one.tip for one in places_of], dtype=np.int64)
+    bases = np.array([one.base for one in places_of], dtype=np.int64)
+    at = np.array([one.at for one in places_of]).reshape(-1, places.PLACE)
+    shifts = np.array([one.shifts for one in places_of]).reshape(-1, len(tree.joint), places.SHIFT)
+    return Rows(*tree, tips, bases, at, shifts)
 
 
 def rows_of(

@@ -5,13 +5,13 @@ The method is in derivatives.md, section 12.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 
 from .._numeric.tolerances import LITTLE, RANK, ROUNDING, SETTLED, SOFTEST
 from ..arrays import Array, Integers
-from ._kernels.step_iterations import Law
+from ._kernels.step_iterations import Course, Law, largest_rows
 from ._kernels.step_rows import StepRows
 from .step_taken import StepTaken
 
@@ -23,23 +23,6 @@ SETTLING = 3
 """Number of iterations, with a thousandth of r, that represent impulses found by another method. The relative
 error of changes is 3·10⁻⁶ W/w after the first one, with w the part of W that they move, and its third power
 after three."""
-
-
-class Iteration(NamedTuple):
-    """An iteration of (16.3).
-
-    Attributes:
-        r: (rows,) r; zero for rows whose iterations have ended.
-        before, after: (rows,) impulses before it and after it [N s].
-        u: (rows,) velocities of the rows that it makes vanish [m/s].
-        shift: (nv,) difference of the velocities from those at the end of the step.
-    """
-
-    r: Array
-    before: Array
-    after: Array
-    u: Array
-    shift: Array
 
 
 class StepLaw:
@@ -107,19 +90,10 @@ class StepLaw:
 
         The response (nv, rows) is M⁻¹Jᵀ.
         """
-        found, contacts = self._taken.found, 3 * len(self._friction)
-        delassus, acts = self.jacobian @ response, np.ones(len(self.jacobian), dtype=bool)
-        acts[self._taken.rows.normals] = ~found.arrives
-        acts[:contacts] = np.repeat(acts[2:contacts:3], 3)
-        linked = (delassus != 0.0) & np.outer(acts, acts)
-        island, lower = np.full(len(acts), -1), np.arange(len(acts))
-        while (lower != island).any():
-            island = lower
-            lower = np.minimum(island, np.where(linked, island, len(acts)).min(axis=1, initial=len(acts)))
-        largest = np.arange(len(island))
-        for number in np.unique(island[:contacts]):
-            of = np.flatnonzero(island[:contacts] == number)
-            largest[island == number] = of[delassus.diagonal()[of].argmax()]
+        acts = np.ones(len(self.jacobian), dtype=bool)
+        acts[self._taken.rows.normals] = ~self._taken.found.arrives
+        largest = np.empty(len(acts), dtype=np.int64)
+        largest_rows(self.jacobian, response, acts, len(self._friction), largest)
         return largest
 
     def _course(self, response: Array, largest: Integers) -> tuple[Array, Array, Array]:
@@ -140,24 +114,25 @@ class StepLaw:
             before = np.vstack([before[:-1], *[impulse] * SETTLING])
         return given, before[: len(given)], after
 
-    def iterations(self, response: Array, largest: Integers) -> list[Iteration]:
-        """Return the iterations; for `response` and `largest` see `largest`."""
+    def iterations(self, response: Array, largest: Integers, of_mass: Callable[[Array], Array]) -> Course:
+        """Return the iterations; `of_mass` returns ∂(M x)/∂q, for other arguments see `largest`."""
         given, before, after = self._course(response, largest)
         now, shown = np.zeros(len(self.jacobian)), np.empty_like(after)
         for k, runs in enumerate(given > 0.0):
             now = shown[k] = np.where(runs, after[k], now)
         shifts = (shown - self._taken.found.impulse) @ response.T
-        velocities = self._taken.found.u_end + self.targets + shifts @ self.jacobian.T
-        return list(map(Iteration, given, before, shown, velocities, shifts))
+        u = self._taken.found.u_end + self.targets + shifts @ self.jacobian.T
+        turned = np.zeros((*shifts.shape, len(response)))
+        for k in np.flatnonzero(shifts.any(axis=1)).tolist():
+            turned[k] = of_mass(shifts[k])
+        return Course(np.ascontiguousarray(given), np.ascontiguousarray(before), shown, u, shifts, turned)
 
 
 def dense(rows: StepRows, nv: int) -> Array:
     """Return the Jacobian (rows, nv) of the rows of a step."""
     out = np.zeros((len(rows.counts), nv))
-    for row, (values, columns, count) in enumerate(
-        zip(rows.values, rows.columns, rows.counts.tolist(), strict=True)
-    ):
-        out[row, columns[:count]] = values[:count]
+    used = np.arange(rows.columns.shape[1]) < rows.counts[:, None]
+    out[np.repeat(np.arange(len(out)), rows.counts), rows.columns[used]] = rows.values[used]
     return out
 
 
@@ -176,12 +151,13 @@ def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -
     known = np.isfinite(velocities).all(axis=0)
     if m == 0:
         return found
-    left, sizes, right = np.linalg.svd(matrix)
+    sizes = np.linalg.svd(matrix, compute_uv=False)
     small = sizes <= RANK * sizes[0]
-    null = left[:, small]
-    if null.shape[1] == 0:
+    if not small.any():
         found[:, known] = np.linalg.solve(matrix, velocities[:, known])
         return found
+    left, _, right = np.linalg.svd(matrix)
+    null = left[:, small]
     # (matrix + r C) λ = velocities for r → 0; velocities that no λ causes are removed along C ρ, matrix ρ = 0
     given, unit = velocities[:, known], sizes[0] / compliances.max()
     along = compliances[:, None] * right[small].T

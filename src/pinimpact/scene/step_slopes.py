@@ -12,14 +12,14 @@ import pinocchio as pin
 from .._numeric.tolerances import COMPUTED, ROUNDING, STALLED, TINY
 from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
-from ..robot._kernels.configuration_slopes import PLACE, SHIFT
+from ..robot._kernels.row_slopes import row_slopes
 from ..robot.derivatives import check_joints
 from ..robot.forest import mass_matrix
-from ..robot.many_derivatives import RowSlopes
+from ..robot.many_derivatives import RowSlopes, stacked
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID
-from ._kernels.step_iterations import Changes, Places, iteration_equations
+from ._kernels.step_iterations import Changes, Places, iterate
 from ._kernels.tolerances import STEPS_DRIFT
 from .control_slopes import change_of_forces
 from .dense_step import DenseStep
@@ -116,6 +116,7 @@ class StepSlopes:
         # results for the last step
         self._known: tuple[StepTaken, _Rows] | None = None
         self._held: tuple[StepTaken, StepLaw] | None = None
+        self._half: tuple[DenseStep, Array] | None = None
         for kind, _, j, _ in self._frames:
             self._carried[j : j + (3 if kind == RIGID else 2)] = True
 
@@ -144,11 +145,14 @@ class StepSlopes:
 
     def _middle(self, step: DenseStep, x: Array, length: Array) -> tuple[Array, Array, Array]:
         """Return changes of the midpoint's q (nv, n) and v (nv, n), and of the step size (n,)."""
-        nv, way = len(step.v), 0.5 * step.h * step.v
-        by_v = x[nv : 2 * nv]
-        by_way = 0.5 * step.h * by_v + 0.5 * np.outer(step.v, length)
-        by_q = self._advanced(step.q, way, x[:nv], by_way)
-        return by_q, self._turned(way, step.v, by_way, by_v)[1], length
+        nv = len(step.v)
+        if self._half is None or self._half[0] is not step:
+            unit, way = np.eye(2 * nv + 1), 0.5 * step.h * step.v
+            by_way = 0.5 * step.h * unit[nv:-1] + 0.5 * np.outer(step.v, unit[-1])
+            by_q = self._advanced(step.q, way, unit[:nv], by_way)
+            self._half = step, np.vstack([by_q, self._turned(way, step.v, by_way, unit[nv:-1])[1]])
+        moved = self._half[1] @ np.vstack([x[: 2 * nv], length])
+        return moved[:nv], moved[nv:], length
 
     def _advanced(self, q: Array, xi: Array, by_q: Array, by_xi: Array) -> Array:
         """Return changes (nv, n) of q ⊕ ξ in the charts of a step: positions move first, then bodies turn."""
@@ -284,6 +288,8 @@ class StepSlopes:
 
     def _refuse_landings(self, taken: StepTaken, moved: _Moved) -> None:
         """Set derivatives by coefficients of impacts to NaN where a contact lands without one, at e = 0."""
+        if not self._impacts:
+            return
         contacts, found = taken.rows.contacts, taken.found
         lands = found.fast[: len(contacts)] & self._alike[contacts]
         closes = (found.gap_end[: len(contacts)] < 0.0) & (len(taken.arriving) == 0)
@@ -300,6 +306,8 @@ class StepSlopes:
         at the end is removed or not, by the sign of these gaps.
         """
         found, rows = taken.found, taken.rows
+        if not found.fast.any():
+            return
         middle = found.gap_end - 0.5 * taken.h * found.u_end[rows.normals]
         touch = (np.abs(middle) <= taken.touching) | (np.abs(found.gap_end) <= taken.touching)
         if (found.fast & taken.collides & ~found.arrives).any():  # by Newton's law (16.5)
@@ -355,16 +363,9 @@ class StepSlopes:
             of = taken.rows.contacts == contact
             by_friction[: 3 * len(of), column] = np.repeat(of, 3)
         data = Changes(jacobian, total, softer, middle, length, known, closing, softened, by_friction)
-        stiff, forces, still = np.zeros((len(closing), len(closing))), *np.zeros((2, *total.shape))
-        course, tied, v_end = law.iterations(response, largest), False, np.zeros_like(known)
-        for one in course:
-            turned = rows.slopes.of_mass(one.shift) if one.shift.any() else still
-            given = law.numbers, rows.places, data, *one, turned, otherwise
-            matrix, right, kink = iteration_equations(*given, v_end, stiff, impulses, forces)
-            v_end, tied = np.asarray(np.linalg.solve(matrix, right), dtype=float), tied or kink
-        if not course:
-            v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
-        impulses -= stiff @ (jacobian @ v_end)
+        v_end, forces = np.asarray(np.linalg.solve(total, known), dtype=float), np.zeros_like(total)
+        course = law.iterations(response, largest, rows.slopes.of_mass)
+        tied = iterate(law.numbers, rows.places, data, course, otherwise, v_end, impulses, forces)
         u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
         after = forces @ middle + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
         after -= np.outer(softer * change, length)
@@ -382,7 +383,7 @@ class StepSlopes:
         """Return the relative changes (rows, n) of the r of (16.3), with the largest rows of W."""
         (middle, length), (_, softer) = moved, matrices
         out = np.zeros((len(largest), middle.shape[1]))
-        for top in np.unique(largest).tolist():
+        for top in set(largest.tolist()):
             y, k = response[:, top], top // 3
             turned = np.zeros(out.shape[1])
             if k < len(rows.slopes.rows):
@@ -405,19 +406,22 @@ class StepSlopes:
             return self._known[1]
         v, h = taken.v, taken.h
         nv = len(v)
-        jacobian = dense(taken.rows, nv)
+        jacobian = self._law(taken).jacobian
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, *taken.near, self._spare)
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
         start, end, gaps = np.zeros((3, len(jacobian), 2 * nv + 1))
         gaps[:, :nv] = start[:, nv:-1] = jacobian
+        places, moved = (
+            Places(stacked(slopes.tree, slopes.rows), taken.axes, turns),
+            np.empty((len(turns), 3, nv)),
+        )
         for out, velocity in ((start, v), (end, taken.found.v_end)):
-            motions = slopes.tree.motions(velocity)
-            for k, row in enumerate(slopes.rows):
-                out[3 * k : 3 * k + 3, :nv] = turns[k] @ row.slopes(motions, True)
+            row_slopes(places.rows, velocity, True, moved)
+            out[: 3 * len(turns), :nv] = (turns @ moved).reshape(-1, nv)
         if taken.found.bent[0]:
-            bends = row_bends(self._model, self._aside, h, slopes, taken.middle, v)
-            bends = less_turning(bends, slopes, *turning(self._frames, v))
+            bends = row_bends(self._model, self._aside, h, slopes, places.rows, taken.middle, v)
+            bends = less_turning(bends, places.rows, *turning(self._frames, v))
             every = np.concatenate(
                 [0.5 * h * bends.by_q, 0.5 * h * bends.by_v, 0.5 * bends.bends[:, :, None]], 2
             )
@@ -426,13 +430,6 @@ class StepSlopes:
             end[: len(turned)] += turned
             gaps[2 : len(turned) : 3] -= 0.25 * h * every[:, 2]
             gaps[2 : len(turned) : 3, -1] -= 0.125 * h * bends.bends[:, 2]
-        at = [row.place for row in slopes.rows]
-        tips, bases = (
-            np.array([getattr(one, name) for one in at], dtype=np.int64) for name in ("tip", "base")
-        )
-        stacks = np.array([one.at for one in at]).reshape(-1, PLACE), np.array([one.shifts for one in at])
-        shifts = stacks[1].reshape(-1, nv, SHIFT)
-        places = Places(*slopes.tree, tips, bases, stacks[0], shifts, taken.axes, turns)
         self._known = taken, _Rows(jacobian, slopes, places, start, end, gaps)
         return self._known[1]
 

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._compile.declared import (
-    FLOAT_COLUMNS,
+    FLAGS,
     FLOAT_ROWS,
-    FLOATS,
+    INTEGERS,
     FloatRows,
     Floats,
     FloatStack,
-    Integers,
     declared,
 )
 from ..._compile.jit import inlined, jit
-from ..._numeric.loops import filled, flags
+from ..._numeric.loops import assign, filled, flags, repeated
+from ..._numeric.lu import factorize, substitute_all
 from ..._numeric.products import add, add_product
 from ..._numeric.tolerances import ROUNDING, SETTLED, TINY
-from ...robot._kernels.configuration_slopes import fill_motions, force_slopes, velocity_slopes
+from ...robot._kernels.configuration_slopes import force_slopes
+from ...robot._kernels.row_slopes import Rows, row_slopes
 
 
 class Law(NamedTuple):
@@ -50,20 +50,12 @@ class Places(NamedTuple):
     """The contacts of a step, near and held.
 
     Attributes:
-        J, joint, parent: See `configuration_slopes.fill_motions`.
-        tips, bases: (k,) joints of tip and surface.
-        at, shifts: (k, …) and (k, nv, …), see `configuration_slopes.fill_place`.
-        axes: (k, 3, 3) axes of the rows.
-        turns: (k, 3, 3) rotations from the axes of `at` to those of the rows.
+        rows: Their places.
+        axes: (k, 3, 3) axes of the rows of the step.
+        turns: (k, 3, 3) rotations from the axes of `rows` to those of the step.
     """
 
-    J: Annotated[NDArray[np.float64], FLOAT_COLUMNS]
-    joint: Integers
-    parent: Integers
-    tips: Integers
-    bases: Integers
-    at: FloatRows
-    shifts: FloatStack
+    rows: Rows
     axes: FloatStack
     turns: FloatStack
 
@@ -94,51 +86,74 @@ class Changes(NamedTuple):
     by_friction: FloatRows
 
 
-@declared(
-    *(Law, Places, Changes, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS, bool),
-    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
-)
+class Course(NamedTuple):
+    """The iterations of (16.3), some of which may have ended for some rows.
+
+    Attributes:
+        r: (…, rows) r; zero for rows whose iterations have ended.
+        before, after: (…, rows) impulses before and after each iteration [N s].
+        u: (…, rows) velocities of the rows that it makes vanish [m/s].
+        shift: (…, nv) difference of the velocities from those at the end of the step.
+        of_mass: (…, nv, nv) ∂(M `shift`)/∂q.
+    """
+
+    r: FloatRows
+    before: FloatRows
+    after: FloatRows
+    u: FloatRows
+    shift: FloatRows
+    of_mass: FloatStack
+
+
+@declared(Law, Places, Changes, Course, bool, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
-def iteration_equations(
-    law, places, changes, r, before, now, u, shift, of_mass, otherwise, v_end, stiff, impulses, forces
-):
-    """Return the equations of the changes of the velocity in an iteration, and whether P has a kink. (D40)
+def iterate(law, places, changes, course, otherwise, v_end, impulses, forces):
+    """Compute the changes in a step after all iterations; return whether P has a kink in any. (D40)
 
     Args:
-        law, places, changes: The step.
-        r: (rows,) r of (16.3) in the iteration; zero for rows whose iterations have ended.
-        before, now: (rows,) impulses before and after it.
-        u: (rows,) velocities of the rows that it makes vanish.
-        shift: (nv,) difference of the velocities from those at the end of the step.
-        of_mass: (nv, nv) ∂(M `shift`)/∂q.
+        law, places, changes, course: The step.
         otherwise: Whether to decide ties the opposite way.
-        v_end: (nv, n) changes of the velocity in the iteration before.
-        stiff, impulses: (rows, rows) ∂P/r and (rows, n) changes of the impulses for zero `v_end`, of the
-            iteration before; they are replaced by those of this one. Zeros before the first.
-        forces: (nv, nv) is overwritten with ∂(Jᵀf)/∂q for the impulses `now`.
-
-    Returns:
-        The matrix (nv, nv) and right-hand sides (nv, n) of the changes of the velocity; whether P has a kink.
+        v_end: (nv, n) is overwritten with the changes of the velocity; those without impulses before.
+        impulses: (rows, n) is overwritten with the changes of the impulses; zero before.
+        forces: (nv, nv) is overwritten with ∂(Jᵀf)/∂q of the last iteration; zero before.
     """
-    jacobian, middle, length = changes.jacobian, changes.middle, changes.length
-    size, nv = jacobian.shape
-    passed, rate = np.zeros(impulses.shape), np.zeros(size)
-    add_product(jacobian, v_end, passed)
-    _subtract(stiff, passed, impulses)
+    jacobian, (size, nv), tied = changes.jacobian, changes.jacobian.shape, False
+    stiff, passed = np.empty((size, size)), np.empty(impulses.shape)
+    matrix, order = np.empty((nv, nv)), np.empty(nv, dtype=np.int64)
+    for i in range(len(course.r)):
+        tied |= _iteration(law, places, changes, course, i, otherwise, stiff, impulses, forces)
+        _add_stiffness(changes.total, stiff, jacobian, matrix)
+        for j in range(nv):
+            assign(v_end[j], changes.known[j])
+            add(v_end[j], -changes.softer[j] * course.shift[i, j], changes.length)
+        add_product(forces - course.of_mass[i], changes.middle, v_end)
+        for a in range(size):
+            for j in range(nv):
+                if jacobian[a, j] != 0.0:
+                    add(v_end[j], jacobian[a, j], impulses[a])
+        factorize(matrix, order)
+        substitute_all(matrix, order, v_end)
+        passed[:, :] = 0.0
+        add_product(jacobian, v_end, passed)
+        _subtract(stiff, passed, impulses)
+    return tied
+
+
+@inlined
+def _iteration(law, places, changes, course, i, otherwise, stiff, impulses, forces):
+    """Replace the changes of the impulses by those of iteration i for a constant velocity; return ties.
+
+    `stiff` (rows, rows) is filled with ∂P/r, and `forces` (nv, nv) with ∂(Jᵀf)/∂q.
+    """
+    r, now, u, size = course.r[i], course.after[i], course.u[i], len(impulses)
+    rate, slopes, by_friction = np.zeros(size), np.zeros((size, size)), np.zeros(size)
     for a in range(size):
         if r[a] > 0.0:
             rate[a] = 1.0 / r[a]
-    slopes, by_friction = np.zeros((size, size)), np.zeros(size)
-    tied = _fill_slopes(law, r, rate, before - u * rate, now, otherwise, slopes, by_friction)
-    moving, change, right = changes.closing.copy(), np.empty((nv, nv)), changes.known.copy()
+    tied = _fill_slopes(law, r, rate, course.before[i] - u * rate, now, otherwise, slopes, by_friction)
     _fill_forces(places, now, forces)
-    for i in range(nv):
-        for j in range(nv):
-            change[i, j] = forces[i, j] - of_mass[i, j]
-        add(right[i], -changes.softer[i] * shift[i], length)
-    add_product(change, middle, right)
-    _add_motion(places, shift, middle, moving)
-    earlier = impulses.copy()
+    moving, earlier = changes.closing.copy(), impulses.copy()
+    _add_motion(places, course.shift[i], changes.middle, moving)
     for a in range(size):
         if r[a] > 0.0:
             filled(impulses[a], 0.0)
@@ -150,17 +165,24 @@ def iteration_equations(
                     add(impulses[a], part * u[b], changes.softened[a])
             add(impulses[a], by_friction[a], changes.by_friction[a])
             if a >= law.dry and slopes[a, a] == 0.0:
-                add(impulses[a], now[a] / law.h, length)
+                add(impulses[a], now[a] / law.h, changes.length)
         for b in range(size):
             stiff[a, b] = slopes[a, b] * rate[b]
-    matrix, pressed = changes.total.copy(), np.zeros((size, nv))
+    return tied
+
+
+@inlined
+def _add_stiffness(total, stiff, jacobian, matrix):
+    """Fill matrix (nv, nv) with `total` + Jᵀ · `stiff` · J."""
+    size, nv = jacobian.shape
+    pressed = np.zeros((size, nv))
     _subtract(stiff, jacobian, pressed)
+    for j in range(nv):
+        assign(matrix[j], total[j])
     for a in range(size):
         for j in range(nv):
             if jacobian[a, j] != 0.0:
                 add(matrix[j], -jacobian[a, j], pressed[a])
-                add(right[j], jacobian[a, j], impulses[a])
-    return matrix, right, tied
 
 
 @inlined
@@ -176,14 +198,14 @@ def _subtract(left, right, out):
 def _fill_forces(places, now, forces):
     """Fill ∂(Jᵀf)/∂q (nv, nv) for impulses of the contacts that are fixed in their axes. (D20)"""
     forces[:, :] = 0.0
-    world = np.empty(3)
-    for k in range(len(places.tips)):
+    rows, world = places.rows, np.empty(3)
+    for k in range(len(rows.tips)):
         for d in range(3):
             world[d] = 0.0
             for e in range(3):
                 world[d] += now[3 * k + e] * places.axes[k, e, d]
         force_slopes(
-            *(places.J, places.joint, places.parent, places.at[k], places.shifts[k]),
+            *(rows.J, rows.joint, rows.parent, rows.at[k], rows.shifts[k]),
             *(world[0], world[1], world[2], forces),
         )
 
@@ -191,15 +213,11 @@ def _fill_forces(places, now, forces):
 @inlined
 def _add_motion(places, shift, middle, moving):
     """Add the changes of J `shift` with the configuration to those of the velocities of contacts. (D19)"""
-    motions, own = np.empty((len(places.parent), 6)), np.empty((3, len(shift)))
-    fill_motions(places.J, places.joint, places.parent, shift, motions)
-    for k in range(len(places.tips)):
-        velocity_slopes(
-            *(places.J, places.joint, places.parent, places.tips[k], places.bases[k]),
-            *(places.at[k], places.shifts[k], motions, False, own),
-        )
-        turned = np.zeros(own.shape)
-        add_product(places.turns[k], own, turned)
+    moved, turned = np.empty((len(places.axes), 3, len(shift))), np.empty((3, len(shift)))
+    row_slopes(places.rows, shift, False, moved)
+    for k in range(len(moved)):
+        turned[:, :] = 0.0
+        add_product(places.turns[k], moved[k], turned)
         add_product(turned, middle, moving[3 * k : 3 * k + 3])
 
 
@@ -246,3 +264,39 @@ def _fill_slopes(law, r, rate, z, impulse, otherwise, out, by_friction):
     for a in range(len(z)):
         found |= r[a] > 0.0 and tied[a]
     return found
+
+
+@declared(FLOAT_ROWS, FLOAT_ROWS, FLAGS, int, INTEGERS)
+@jit
+def largest_rows(jacobian, response, acts, contacts, largest):
+    """Fill for each row (rows,) the contact row of its island with the largest diagonal entry of W.
+
+    Args:
+        jacobian: (rows, nv) Jacobian of the rows.
+        response: (nv, rows) M⁻¹Jᵀ.
+        acts: (rows,) whether the row acts; the normal one decides for those of a contact.
+        contacts: Number of contacts.
+        largest: (rows,) is filled; rows without contacts in their islands have their own numbers.
+    """
+    size = len(acts)
+    delassus, island, todo = np.zeros((size, size)), repeated(size, -1), np.empty(size, dtype=np.int64)
+    add_product(jacobian, response, delassus)
+    for k in range(contacts):
+        acts[3 * k] = acts[3 * k + 1] = acts[3 * k + 2]
+    for first in range(size):
+        if island[first] >= 0:
+            continue
+        island[first], todo[0], count, done = first, first, 1, 0
+        while done < count:
+            a = todo[done]
+            done += 1
+            for b in range(size):
+                if island[b] < 0 and acts[a] and acts[b] and delassus[a, b] != 0.0:
+                    island[b], todo[count] = first, b
+                    count += 1
+        top = -1
+        for a in range(min(size, 3 * contacts)):
+            if island[a] == first and (top < 0 or delassus[a, a] > delassus[top, top]):
+                top = a
+        for k in range(count):
+            largest[todo[k]] = top if top >= 0 else todo[k]
