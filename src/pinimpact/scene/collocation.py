@@ -13,7 +13,7 @@ from numpy.polynomial.legendre import legvander
 
 from .._numeric.tolerances import RANK
 from ..arrays import Array, Integers
-from ._kernels.variations import changes_at_end, stage_equations
+from ._kernels.variations import changes_across, changes_at_end, stage_equations
 from .mode_slopes import SlopesWithin
 
 
@@ -65,16 +65,14 @@ def collocate(
         force: (nv, n) changes of a constant generalized force.
         given: Number of columns by forces, which follow those by the state.
     """
-    method, slopes = (h, *rule[:3], turned, force), nodes[:5]
-    matrix, right, start, moved, solvable = stage_equations(*method, nodes.unique, *slopes, x)
-    if not solvable:
-        matrix, right, start, moved, _ = stage_equations(*method, False, *slopes, x)
-    stages, rows, n = right.shape
-    if rows == len(x) // 2:
-        rates = np.linalg.solve(matrix, right.reshape(-1, n))
-    else:
-        rates = _with_least_forces(matrix.reshape(stages, rows, -1), right, nodes)
-    return changes_at_end(*(h, *rule[1:], turned, len(x), given), *(nodes.inverse, start, moved, rates))
+    columns, slopes = (len(x), given), nodes[:5]
+    if nodes.unique:
+        end, error, regular = changes_across(h, *rule, turned, *columns, force, *slopes, x)
+        if regular:
+            return end, error
+    matrix, right, start, moved, _ = stage_equations(h, *rule[:3], turned, force, False, *slopes, x)
+    rates = _with_least_forces(matrix.reshape(*right.shape[:2], -1), right, nodes)
+    return changes_at_end(h, *rule[1:], turned, *columns, nodes.inverse, start, moved, rates)
 
 
 def _with_least_forces(matrix: Array, right: Array, nodes: SlopesWithin) -> Array:

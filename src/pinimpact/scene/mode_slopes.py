@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import Array, Integers
+from ..arrays import Array, Bools, Integers
 from ..robot.derivatives import check_joints
 from ..robot.pinocchio_bridge import Call, call_addresses
 from ._kernels.contact_forces import SLIP
@@ -96,6 +96,7 @@ class SlopesOfModes:
         check_joints(model)
         self.dynamics, self.model = dynamics, model
         nv = model.nv
+        self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._parent = np.array(model.parents, dtype=np.int64)
         charts = dynamics.work.joint_charts
         turns = [
@@ -165,10 +166,10 @@ class SlopesOfModes:
                 slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
         return ModeSlopes(acceleration, response, rows, inverse, tuple(slips), at_bound)
 
-    def gaps(self, mode: ModeSlopes) -> tuple[Integers, Array]:
-        """Return the rows (k,) of the present constraints that are rates of gaps, and their loads [m/s²]."""
-        gaps, loads = gap_rows(self.dynamics.work, mode.response)
-        return gaps, loads
+    def gaps(self, mode: ModeSlopes) -> tuple[Integers, Bools]:
+        """Return the rows (k,) of the present constraints that are rates of gaps; which bear a load (k,)."""
+        found = gap_rows(self.dynamics.work, mode.acceleration, mode.response, self._gravity)
+        return found[0], found[1]
 
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .._numeric.tolerances import COMPUTED
 from ..arrays import Array, Bools, Integers
 from ..checks import finite_array, in_short
 from ..contact_space._kernels.tolerances import MISSED
@@ -91,15 +90,11 @@ class Saltation:
 
     def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet) -> Array:
         """Return the admitted changes, as NaN where x moves contacts that no load would close again."""
-        dynamics, nv, (gaps, loads) = self._dynamics, len(x) // 2, self.slopes.gaps(mode)
+        nv, (gaps, loaded) = len(x) // 2, self.slopes.gaps(mode)
         admitted = self._admitted(x, mode, gaps)
-        if not closed.unique or self._bilateral.any() or len(gaps) == 0:
+        if loaded.all() or not closed.unique or self._bilateral.any():
             return admitted
-        size = max(float(np.linalg.norm(self._model.gravity.linear)), dynamics.fastest(mode.acceleration))
-        unloaded = loads <= COMPUTED * size
-        if not unloaded.any():
-            return admitted
-        rows = mode.rows[gaps][unloaded]
+        rows = mode.rows[gaps][~loaded]
         every, size_of = np.vstack([rows @ x, rows[:, nv:] @ x[:nv]]), np.abs(rows)
         sizes = np.vstack([size_of @ np.abs(x), size_of[:, nv:] @ np.abs(x[:nv])])
         moved = (np.abs(every) > REMAINS * sizes).any(axis=0)

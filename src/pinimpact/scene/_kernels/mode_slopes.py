@@ -7,7 +7,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, flags
 from ..._numeric.products import add, add_product, apply_symmetric, dot
 from ..._numeric.tolerances import COMPUTED, RANK
 from ...robot._kernels import configuration_slopes as slopes
@@ -156,19 +156,21 @@ def constraints_at(work, parent, coefficients, q0, v0, start, h, t, ends, unique
     return acceleration, response, by_state[nv:].copy(), inverse, moved, _at_bound(work, unique)
 
 
-@declared(SceneWorkspace, FLOAT_ROWS)
+@declared(SceneWorkspace, FLOATS, FLOAT_ROWS, float)
 @jit
-def gap_rows(work, response):
-    """Return the rows of the constraints that are rates of gaps which remain closed, with their loads.
+def gap_rows(work, acceleration, response, gravity):
+    """Return the rows of the constraints that are rates of gaps which remain closed, and which bear a load.
 
     Args:
         work: The workspace, with the forces last evaluated.
+        acceleration: (nv,) v̇.
         response: (nv, m) derivatives of v̇ by the forces of the rows.
+        gravity: Acceleration of gravity [m/s²].
 
     Returns:
-        (k,) numbers of the rows; (k,) the largest acceleration of a joint by the force of each [m/s²].
+        (k,) numbers of the rows; (k,) whether its force moves joints by more than rounding errors of v̇.
     """
-    gaps, loads, count, row = np.empty(work.active_rows, dtype=np.int64), np.zeros(work.active_rows), 0, 0
+    gaps, count, row, size = np.empty(work.active_rows, dtype=np.int64), 0, 0, gravity
     for k in range(len(work.active_mode)):
         end = row + (1 if work.active_mode[k] == SLIP else 3)
         for r in range(row if work.bilateral[work.active_index[k]] != 0 else end - 1, end):
@@ -181,11 +183,14 @@ def gap_rows(work, response):
         if np.isinf(lower) != np.isinf(upper) and (friction == 0.0 or abs(work.solution[row + k]) > friction):
             gaps[count] = row + k
             count += 1
+    for j in range(len(acceleration)):
+        size = max(size, work.joint_metres[j] * abs(acceleration[j]))
+    loaded = flags(count, False)
     for a in range(count):
         for j in range(len(response)):
             rate = work.joint_metres[j] * response[j, gaps[a]] * work.solution[gaps[a]]
-            loads[a] = max(loads[a], abs(rate))
-    return gaps[:count], loads[:count]
+            loaded[a] |= abs(rate) > COMPUTED * size
+    return gaps[:count], loaded
 
 
 @declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool))

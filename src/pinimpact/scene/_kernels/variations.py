@@ -43,6 +43,8 @@ def stage_equations(
     total = nv if unique else by_state.shape[1]
     start, matrix = np.empty((stages, 2 * nv, n)), np.empty((stages * total, stages * nv))
     right, pushed = np.zeros((stages, total, n)), np.empty((total, nv))
+    first, last = _used(force)
+    given, applied = force[:, first:last].copy(), np.empty((total, last - first))
     for i in range(stages):
         for r in range(nv):
             for c in range(n):
@@ -57,7 +59,10 @@ def stage_equations(
             return matrix, right, start, moved, False
         pushed[:, :] = 0.0
         add_product(mass, inverse[i], pushed)
-        add_product(pushed, force, right[i])
+        applied[:, :] = 0.0
+        add_product(pushed, given, applied)
+        for r in range(total):
+            assign(right[i, r, first:last], applied[r])
         add_product(lines, start[i], right[i])
         for r in range(total):
             for k in range(nv):
@@ -76,6 +81,17 @@ def stage_equations(
                 for k in range(nv):
                     out[k] = (mass[r, k] if i == j else 0.0) - line[k]
     return matrix, right, start, moved, True
+
+
+@inlined
+def _used(matrix):
+    """Return the first column of a matrix that is not zero, and the one after the last."""
+    first, last = matrix.shape[1], 0
+    for r in range(len(matrix)):
+        for c in range(matrix.shape[1]):
+            if matrix[r, c] != 0.0:
+                first, last = min(first, c), max(last, c + 1)
+    return min(first, last), last
 
 
 @inlined
@@ -144,7 +160,7 @@ def changes_at_end(
     Args:
         h, weights, twice, turned, inverse, start, moved: As in `stage_equations`.
         modes: (s, s) Legendre coefficients by values at the nodes.
-        decay, power: Parameters of the extrapolation, see `sensitivities.Radau`.
+        decay, power: Parameters of the extrapolation, see `collocation.Radau`.
         states, forces: Numbers of columns by states and by forces.
         rates: (s nv, n) rates of δv at the stages.
     """
@@ -188,6 +204,28 @@ def changes_at_end(
             found = h * decay * high[c] * (high[c] / max(low[c], TINY)) ** power
             error = max(error, found / max(size, TINY))
     return end, error
+
+
+@declared(
+    *(float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, float, float, INTEGERS, int, int, FLOAT_ROWS),
+    *(FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS),
+)
+@jit
+def changes_across(
+    h, nodes, weights, twice, modes, decay, power, turned, states, forces, force, by_state, response,
+    inverse, by_friction, turning, x,
+):  # fmt: skip
+    """Return the results of `changes_at_end` if forces are unique, and whether the equations are regular."""
+    equations = h, nodes, weights, twice, turned, force, True
+    slopes = by_state, response, inverse, by_friction, turning
+    matrix, right, start, moved, regular = stage_equations(*equations, *slopes, x)
+    rates, order = right.reshape((len(matrix), x.shape[1])), np.empty(len(matrix), dtype=np.int64)
+    if regular and factorize(matrix, order):
+        substitute_all(matrix, order, rates)
+        at_end = weights, twice, modes, decay, power, turned, states, forces
+        end, error = changes_at_end(h, *at_end, inverse, start, moved, rates)
+        return end, error, True
+    return x, 0.0, False
 
 
 @declared(FLOAT_ROWS, FLOAT_ROWS, int, FLOAT_ROWS)
