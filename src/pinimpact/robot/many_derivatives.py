@@ -26,7 +26,7 @@ from .held import check_at_rest
 from .many_impact import check_many, many_problem
 from .matrices import ManyMatrices, checked_matrices
 from .names import free_velocities, model_of
-from .placed_robot import ContactGeometry, PlacedRobot
+from .placed_robot import PlacedRobot
 from .touching import check_rims
 
 
@@ -95,7 +95,7 @@ class ContactRow(NamedTuple):
 
     def slopes(self, motions: Array, relative: bool = False) -> Array:
         """Return ∂(J x)/∂q (3, nv) for the motions (joints, 6) of x, see `velocity_slopes`. (D19)"""
-        tip, base, at, shifts, _ = self.place
+        tip, base, at, shifts = self.place
         out = np.empty((3, len(self.tree.joint)))
         places.velocity_slopes(*self.tree, tip, base, at, shifts, motions, relative, out)
         return out
@@ -153,16 +153,16 @@ class RowSlopes:
                 now[k] = corner.contact(placed.data, contacts[k])
             if corner.kind == TIP_PLANE:
                 self.signs[k] = -1.0
-        at, self.rows = rows_of(placed, self.tree, now, True)
-        self.axes, self.fixed = [one.axes for one in at], list(self.rows)
+        self.rows = rows_of(placed, self.tree, now, True)
+        self.axes, self.fixed = [row.axes for row in self.rows], list(self.rows)
         for k, corner in corners.items():
             if corner.on_face:
                 place = self.rows[k].place
-                (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)[1]
+                (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)
                 self.features_meet |= corner.follow(placed.data, self.tree.J, place.shifts)
         if on_surface:
-            for row, one in zip(self.rows, at, strict=True):
-                row.place.move_onto_surface(one)
+            for row, contact in zip(self.rows, now, strict=True):
+                row.place.move_onto_surface(placed.geometry(contact))
 
     def of_mass(self, x: Array) -> Array:
         """Return D(x) = ∂(M x)/∂q (nv, nv)."""
@@ -187,16 +187,9 @@ def stacked(tree: Tree, rows: Sequence[ContactRow]) -> Rows:
     return Rows(*tree, tips, bases, at, shifts)
 
 
-def rows_of(
-    placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool
-) -> tuple[list[ContactGeometry], list[ContactRow]]:
-    """Return geometry and rows of contacts, in contact axes if `turns`, else in world axes."""
-    at = [placed.geometry(contact) for contact in contacts]
-    rows = [
-        ContactRow(tree, contact_place(placed, tree, *one, turns, len(tree.joint)))
-        for one in zip(contacts, at, strict=True)
-    ]
-    return at, rows
+def rows_of(placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool) -> list[ContactRow]:
+    """Return the rows of contacts, in contact axes if `turns`, else in world axes."""
+    return [ContactRow(tree, contact_place(placed, tree, one, turns, len(tree.joint))) for one in contacts]
 
 
 class ManySlopes:
@@ -218,7 +211,7 @@ class ManySlopes:
     ) -> None:
         self.matrices, self._free, self._placed = matrices, free, placed
         self._robot = robot = RowSlopes(placed, contacts, corners, None, on_surface)
-        self._held = rows_of(placed, robot.tree, held, False)[1]
+        self._held = rows_of(placed, robot.tree, held, False)
         nv, m = matrices.response.shape
         moved, self._moved_held = np.zeros((m, m, nv)), np.zeros((m, 3 * len(held), nv))
         for i, y in enumerate(matrices.response.T):

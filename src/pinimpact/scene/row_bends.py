@@ -76,7 +76,7 @@ def row_bends(
     turn, push = pin.dIntegrate(model, q, s * v)
     placed = PlacedRobot(model, data, pin.integrate(model, q, s * v))
     tree = Tree.of(placed)
-    rows = rows_of(placed, tree, slopes.carried, True)[1]
+    rows = rows_of(placed, tree, slopes.carried, True)
     corners = [i for i, row in enumerate(slopes.rows) if row is not slopes.fixed[i]]
     fixed = stacked(slopes.tree, slopes.fixed) if corners else places
     start = _along(0.0, slopes.fixed, fixed, corners, slopes, v)

@@ -240,6 +240,7 @@ class StepSlopes:
         softer = softened / h + 0.25 * h * stiffness  # derivative of `softened` by h
         mass = mass_matrix(self._model, self._data, q)
         total = mass + np.diag(softened)
+        inverse = np.asarray(np.linalg.inv(total), dtype=float)
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
             """Return h δf − δM `change`, for forces f at a mean velocity."""
@@ -255,7 +256,7 @@ class StepSlopes:
 
         first = found.foreseen - v - h * taken.pushed
         predicted = right(v, by_v, first) + np.outer(total @ first / h - softer * first, length)
-        predicted = np.linalg.solve(total, predicted) + by_v + np.outer(taken.pushed, length)
+        predicted = inverse @ predicted + by_v + np.outer(taken.pushed, length)
         if taken.pushed.any():  # it is zero in the first step
             predicted += h * by_pushed
 
@@ -266,7 +267,7 @@ class StepSlopes:
             acting = (total @ change - 0.5 * h * damping * expected - rows.jacobian.T @ found.impulse) / h
             known = known + 0.5 * h * damping[:, None] * (predicted - by_v) + total @ by_v
             known += np.outer(acting + 0.5 * damping * expected - softer * change, length)
-            given = rows, (total, softer), (middle, known, length)
+            given = rows, (total, inverse, softer), (middle, known, length)
             moved = self._solve(taken, False, *given)
             self._refuse_ties(taken, moved, given)
             return moved
@@ -344,18 +345,18 @@ class StepSlopes:
         taken: StepTaken,
         otherwise: bool,
         rows: _Rows,
-        matrices: tuple[Array, Array],
+        matrices: tuple[Array, Array, Array],
         changes: tuple[Array, Array, Array],
     ) -> _Moved:
         """Return the changes in a step from those of the forces at constant velocities and impulses. (D40)
 
         Ties are decided as in the step, or the opposite way if `otherwise`.
         """
-        (total, softer), (middle, known, length) = matrices, changes
+        (total, inverse, softer), (middle, known, length) = matrices, changes
         jacobian, found, h, law = rows.jacobian, taken.found, taken.h, self._law(taken)
-        response = np.asarray(np.linalg.solve(total, jacobian.T), dtype=float)
+        response = np.asarray(inverse @ jacobian.T)
         largest = law.largest(response)
-        softened = self._softened(rows, response, largest, (middle, length), matrices)
+        softened = self._softened(rows, response, largest, (middle, length), softer)
         closing = rows.end + np.where(law.closes, 1.0 / h, 0.0)[:, None] * rows.gaps
         closing -= np.outer(law.targets / h, length)
         impulses, by_friction = np.zeros((2, *rows.end.shape))
@@ -363,13 +364,13 @@ class StepSlopes:
             of = taken.rows.contacts == contact
             by_friction[: 3 * len(of), column] = np.repeat(of, 3)
         data = Changes(jacobian, total, softer, middle, length, known, closing, softened, by_friction)
-        v_end, forces = np.asarray(np.linalg.solve(total, known), dtype=float), np.zeros_like(total)
+        v_end, forces = inverse @ known, np.zeros_like(total)
         course = law.iterations(response, largest, rows.slopes.of_mass)
         tied = iterate(law.numbers, rows.places, data, course, otherwise, v_end, impulses, forces)
         u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
         after = forces @ middle + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
         after -= np.outer(softer * change, length)
-        mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
+        mean = np.asarray(inverse @ after / h - np.outer(change, length) / h**2)
         return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, tied)
 
     def _softened(
@@ -378,10 +379,10 @@ class StepSlopes:
         response: Array,
         largest: Integers,
         moved: tuple[Array, Array],
-        matrices: tuple[Array, Array],
+        softer: Array,
     ) -> Array:
         """Return the relative changes (rows, n) of the r of (16.3), with the largest rows of W."""
-        (middle, length), (_, softer) = moved, matrices
+        middle, length = moved
         out = np.zeros((len(largest), middle.shape[1]))
         for top in set(largest.tolist()):
             y, k = response[:, top], top // 3

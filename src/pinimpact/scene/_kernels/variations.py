@@ -39,7 +39,7 @@ def stage_equations(
         derivatives of δq of joints that turn with respect to the rates (s k, s k); and whether the forces
         have independent effects, without which they cannot be eliminated.
     """
-    stages, nv, n = len(by_state), len(x) // 2, x.shape[1]
+    stages, nv, n, size = len(by_state), len(x) // 2, x.shape[1], len(turned)
     total = nv if unique else by_state.shape[1]
     start, matrix = np.empty((stages, 2 * nv, n)), np.empty((stages * total, stages * nv))
     right, pushed = np.zeros((stages, total, n)), np.empty((total, nv))
@@ -47,8 +47,8 @@ def stage_equations(
     given, applied = force[:, first:last].copy(), np.empty((total, last - first))
     for i in range(stages):
         for r in range(nv):
-            for c in range(n):
-                start[i, r, c] = x[r, c] + h * nodes[i] * x[nv + r, c]
+            assign(start[i, r], x[r])
+            add(start[i, r], h * nodes[i], x[nv + r])
             assign(start[i, nv + r], x[nv + r])
     moved, straight = _turn(h, weights, twice, turned, turning, start), ones(nv)
     for k in turned:
@@ -74,12 +74,15 @@ def stage_equations(
                 once, second = h * weights[i, j], h * h * twice[i, j]
                 for k in range(nv):
                     line[k] = once * by_v[k] + second * straight[k] * by_q[k]
-                for a in range(len(turned)):
-                    for b in range(len(turned)):
-                        line[turned[b]] += by_q[turned[a]] * moved[i * len(turned) + a, j * len(turned) + b]
+                for a in range(size):
+                    row, part = moved[i * size + a, j * size : (j + 1) * size], by_q[turned[a]]
+                    for b in range(size):
+                        line[turned[b]] += part * row[b]
                 out = matrix[i * total + r, j * nv : (j + 1) * nv]
                 for k in range(nv):
-                    out[k] = (mass[r, k] if i == j else 0.0) - line[k]
+                    out[k] = -line[k]
+                if i == j:
+                    add(out, 1.0, mass[r])
     return matrix, right, start, moved, True
 
 
