@@ -386,8 +386,7 @@ _NO_TREE = Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.emp
 
 def contact_place(placed: PlacedRobot, tree: Tree, contact: Contact, turns: bool, n: int) -> Place:
     """Return the `Place` of a contact; `turns` as for `fill_place`, `n` is nv, or 0 for no `shifts`."""
-    frames, ids = placed.model.frames, placed.cache.contact(contact.frame, contact.plane.body)[:2]
-    joints = frames[ids[0]].parentJoint, frames[ids[1]].parentJoint
+    joints = placed.cache.ends(contact.frame, contact.plane.body)
     at, shifts = np.empty(places.PLACE), np.empty((n, places.SHIFT))
     frame, carrier = placed.placements(contact)
     places.fill_place_at(frame, carrier, contact.constants.copy(), turns, *tree, *joints, at, shifts)
