@@ -45,13 +45,13 @@ class StepLaw:
     """
 
     def __init__(self, taken: StepTaken, friction: Array, dry_friction: Array, compliances: Array) -> None:
-        found, rows = taken.found, taken.rows
+        found, rows, near = taken.found, taken.rows, taken.rows.normals
         nc, every, n = len(rows.contacts), len(rows.surface), len(rows.counts)
         self._taken, self.jacobian = taken, dense(rows, len(found.v_end))
         self._friction, self._compliances = friction[rows.contacts], compliances[rows.contacts]
         first = 3 * every + len(rows.limits)
         bounds = taken.h * dry_friction[rows.dry] / rows.values[first:, 0]
-        gaps, normals = np.zeros(n), np.concatenate([3 * np.arange(every) + 2, rows.normals[nc:]])
+        gaps, normals = np.zeros(n), np.concatenate([3 * np.arange(every) + 2, near[nc:]])
         gaps[normals] = rows.gap
         self.closes, held = np.zeros(n, dtype=bool), np.arange(nc, every)
         self.closes[normals] = rows.gap > -taken.overlap
@@ -64,7 +64,7 @@ class StepLaw:
         self.numbers = Law(nc, 3 * every, first, self._friction, bounds, fastest, taken.h)
         presses = impulse > rounding
         touches = presses & self.closes & (gaps <= taken.touching)
-        self.pinned = rows.normals[touches[rows.normals]]
+        self.pinned = near[touches[near]]
         pushed, speed = (np.hypot(*one[: 3 * nc].reshape(-1, 3).T[:2]) for one in (impulse, found.u_end))
         closed, radius = presses[2 : 3 * nc : 3], self._friction * impulse[2 : 3 * nc : 3]
         bound = closed & (pushed >= (1.0 - TIED) * radius)
@@ -147,15 +147,13 @@ def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -
         compliances: (m,) C.
     """
     m = len(matrix)
-    found = np.full_like(velocities, np.nan)
-    known = np.isfinite(velocities).all(axis=0)
     if m == 0:
-        return found
+        return np.full_like(velocities, np.nan)
     sizes = np.linalg.svd(matrix, compute_uv=False)
     small = sizes <= RANK * sizes[0]
     if not small.any():
-        found[:, known] = np.linalg.solve(matrix, velocities[:, known])
-        return found
+        return np.asarray(np.linalg.solve(matrix, velocities), dtype=float)
+    found, known = np.full_like(velocities, np.nan), np.isfinite(velocities).all(axis=0)
     left, _, right = np.linalg.svd(matrix)
     null = left[:, small]
     # (matrix + r C) λ = velocities for r → 0; velocities that no λ causes are removed along C ρ, matrix ρ = 0

@@ -116,7 +116,7 @@ class StepSlopes:
         # results for the last step
         self._known: tuple[StepTaken, _Rows] | None = None
         self._held: tuple[StepTaken, StepLaw] | None = None
-        self._half: tuple[DenseStep, Array] | None = None
+        self._to_middle: tuple[DenseStep, Array] | None = None
         for kind, _, j, _ in self._frames:
             self._carried[j : j + (3 if kind == RIGID else 2)] = True
 
@@ -136,9 +136,9 @@ class StepSlopes:
         pushed = np.zeros((2 * nv, 2 * len(kept)))
         pushed[:nv, : len(kept)] = inverse @ law.jacobian[kept].T
         pushed[nv:, len(kept) :] = inverse @ law.pushes().T
-        every = np.hstack([x[: 2 * nv], pushed])
-        rows = self._rows(taken, self._middle(step, every, np.zeros(every.shape[1])))
-        missed = np.vstack([rows.gaps[kept], rows.start[kept]])
+        maps = self._maps(taken)
+        rows = np.vstack([maps.gaps[kept], maps.start[kept]])[:, :-1] @ self._half(step)[:, :-1]
+        missed = rows @ np.hstack([x[: 2 * nv], pushed])
         soft = np.tile(law.softness(), 2)
         x[: 2 * nv] -= pushed @ limit_of_compliances(missed[:, n:], missed[:, :n], soft)
         return x
@@ -146,13 +146,18 @@ class StepSlopes:
     def _middle(self, step: DenseStep, x: Array, length: Array) -> tuple[Array, Array, Array]:
         """Return changes of the midpoint's q (nv, n) and v (nv, n), and of the step size (n,)."""
         nv = len(step.v)
-        if self._half is None or self._half[0] is not step:
-            unit, way = np.eye(2 * nv + 1), 0.5 * step.h * step.v
+        moved = self._half(step) @ np.vstack([x[: 2 * nv], length])
+        return moved[:nv], moved[nv:], length
+
+    def _half(self, step: DenseStep) -> Array:
+        """Return the derivatives (2 nv, 2 nv + 1) of the midpoint's q and v by q, v and the step size."""
+        if self._to_middle is None or self._to_middle[0] is not step:
+            nv, way = len(step.v), 0.5 * step.h * step.v
+            unit = np.eye(2 * nv + 1)
             by_way = 0.5 * step.h * unit[nv:-1] + 0.5 * np.outer(step.v, unit[-1])
             by_q = self._advanced(step.q, way, unit[:nv], by_way)
-            self._half = step, np.vstack([by_q, self._turned(way, step.v, by_way, unit[nv:-1])[1]])
-        moved = self._half[1] @ np.vstack([x[: 2 * nv], length])
-        return moved[:nv], moved[nv:], length
+            self._to_middle = step, np.vstack([by_q, self._turned(way, step.v, by_way, unit[nv:-1])[1]])
+        return self._to_middle[1]
 
     def _advanced(self, q: Array, xi: Array, by_q: Array, by_xi: Array) -> Array:
         """Return changes (nv, n) of q ⊕ ξ in the charts of a step: positions move first, then bodies turn."""
@@ -246,8 +251,8 @@ class StepSlopes:
             """Return h δf − δM `change`, for forces f at a mean velocity."""
             still, by_still = turning(self._frames, mean)
             slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h - still)
-            by_state = slopes[0] @ middle + stiffness[:, None] * middle - mass @ (by_still @ by_mean)
-            by_state += slopes[1] @ by_mean + damping[:, None] * by_mean
+            slopes_v = slopes[1] + np.diag(damping) - mass @ by_still
+            by_state = (slopes[0] + np.diag(stiffness)) @ middle + slopes_v @ by_mean
             if self._controlled is not None:
                 moved = np.vstack([middle, by_mean, -0.5 * length])
                 given = step.start + 0.5 * h, (q, mean), moved
@@ -255,8 +260,8 @@ class StepSlopes:
             return np.asarray(h * (force - by_state))
 
         first = found.foreseen - v - h * taken.pushed
-        predicted = right(v, by_v, first) + np.outer(total @ first / h - softer * first, length)
-        predicted = inverse @ predicted + by_v + np.outer(taken.pushed, length)
+        predicted = right(v, by_v, first) + _outer(total @ first / h - softer * first, length)
+        predicted = inverse @ predicted + by_v + _outer(taken.pushed, length)
         if taken.pushed.any():  # it is zero in the first step
             predicted += h * by_pushed
 
@@ -266,7 +271,7 @@ class StepSlopes:
             change, expected = found.v_end - v, found.predicted - v
             acting = (total @ change - 0.5 * h * damping * expected - rows.jacobian.T @ found.impulse) / h
             known = known + 0.5 * h * damping[:, None] * (predicted - by_v) + total @ by_v
-            known += np.outer(acting + 0.5 * damping * expected - softer * change, length)
+            known += _outer(acting + 0.5 * damping * expected - softer * change, length)
             given = rows, (total, inverse, softer), (middle, known, length)
             moved = self._solve(taken, False, *given)
             self._refuse_ties(taken, moved, given)
@@ -358,7 +363,7 @@ class StepSlopes:
         largest = law.largest(response)
         softened = self._softened(rows, response, largest, (middle, length), softer)
         closing = rows.end + np.where(law.closes, 1.0 / h, 0.0)[:, None] * rows.gaps
-        closing -= np.outer(law.targets / h, length)
+        closing -= _outer(law.targets / h, length)
         impulses, by_friction = np.zeros((2, *rows.end.shape))
         for column, contact in enumerate(self._friction, known.shape[1] - len(self._friction)):
             of = taken.rows.contacts == contact
@@ -369,8 +374,8 @@ class StepSlopes:
         tied = iterate(law.numbers, rows.places, data, course, otherwise, v_end, impulses, forces)
         u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
         after = forces @ middle + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
-        after -= np.outer(softer * change, length)
-        mean = np.asarray(inverse @ after / h - np.outer(change, length) / h**2)
+        after -= _outer(softer * change, length)
+        mean = np.asarray(inverse @ after / h - _outer(change / h**2, length))
         return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, tied)
 
     def _softened(
@@ -449,15 +454,15 @@ class StepSlopes:
     def _within(self, x: Array, moved: _Moved, step: DenseStep, part: float, shift: Array) -> Array:
         """Return changes (2 nv, n) after a fraction of a step, which itself changes by `shift` (n,). (D34)"""
         nv, h, v, by_v, length = len(step.v), step.h, step.v, x[len(step.v) : 2 * len(step.v)], moved.length
-        back, by_back = -0.5 * h * v, -0.5 * h * by_v - 0.5 * np.outer(v, length)
+        back, by_back = -0.5 * h * v, -0.5 * h * by_v - _outer(0.5 * v, length)
         last, by_last = self._turned(back, _taken(step).found.v_end, by_back, moved.v_end)
         mean, change, bend = 0.5 * (v + last), last - v, 0.5 * part * (1.0 - part)
         by_mean, by_change = 0.5 * (by_v + by_last), by_last - by_v
         xi = part * h * mean - bend * h * change
         by_xi = part * h * by_mean - bend * h * by_change
-        by_xi += np.outer(part * mean - bend * change, length)
-        by_xi += np.outer(h * mean - (0.5 - part) * h * change, shift)
-        reached = by_v + part * by_change + np.outer(change, shift)
+        by_xi += _outer(part * mean - bend * change, length)
+        by_xi += _outer(h * mean - (0.5 - part) * h * change, shift)
+        reached = by_v + part * by_change + _outer(change, shift)
         by_q = self._advanced(step.q, xi, x[:nv], by_xi)
         return np.vstack([by_q, self._turned(xi, v + part * change, by_xi, reached)[1]])
 
@@ -489,6 +494,11 @@ class StepSlopes:
             by_xi = free + response @ impulses
             by_q, by_v = self._advanced(before, xi, by_q, by_xi), self._turned(xi, v, by_xi, by_v)[1]
         return np.vstack([by_q, by_v])
+
+
+def _outer(vector: Array, changes: Array) -> Any:
+    """Return vector (k,) times changes (n,), (k, n); 0 if nothing changes, as most step sizes."""
+    return np.outer(vector, changes) if changes.any() else 0.0
 
 
 def _taken(step: DenseStep) -> StepTaken:
