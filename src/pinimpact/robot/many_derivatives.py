@@ -77,22 +77,6 @@ class ContactRow(NamedTuple):
         """(3, nv) rotation of the axes per unit of each q_k, in world axes."""
         return self.place.shifts[:, places.TURN : places.TURN + 3].T
 
-    @property
-    def jacobian(self) -> Array:
-        """(3, nv) the rows in world axes."""
-        at, shifts, motions = self.place.at, self.place.shifts, self.tree.J
-        point = at[places.POINT : places.POINT + 3]
-        moved = motions[:3] - pin.skew(point) @ motions[3:]
-        return np.asarray((shifts[:, places.TIP] - shifts[:, places.CARRIER]) * moved)
-
-    @property
-    def of_surface(self) -> Array:
-        """(3,) velocity of the surface relative to its carrier, in world axes [m/s]."""
-        at = self.place.at
-        arm = at[places.POINT : places.POINT + 3] - at[places.ORIGIN : places.ORIGIN + 3]
-        material = at[places.MATERIAL : places.MATERIAL + 3]
-        return np.asarray(material + pin.skew(at[places.SPIN : places.SPIN + 3]) @ arm)
-
     def slopes(self, motions: Array, relative: bool = False) -> Array:
         """Return ∂(J x)/∂q (3, nv) for the motions (joints, 6) of x, see `velocity_slopes`. (D19)"""
         tip, base, at, shifts = self.place

@@ -25,7 +25,7 @@ from .control_slopes import change_of_forces
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
-from .joint_charts import turning
+from .joint_charts import turned_axes, turning
 from .row_bends import less_turning, row_bends
 from .scene import Scene
 from .step_sets import StepLaw, dense, limit_of_compliances
@@ -156,7 +156,10 @@ class StepSlopes:
             unit = np.eye(2 * nv + 1)
             by_way = 0.5 * step.h * unit[nv:-1] + 0.5 * np.outer(step.v, unit[-1])
             by_q = self._advanced(step.q, way, unit[:nv], by_way)
-            self._to_middle = step, np.vstack([by_q, self._turned(way, step.v, by_way, unit[nv:-1])[1]])
+            self._to_middle = (
+                step,
+                np.vstack([by_q, turned_axes(self._frames, way, step.v, by_way, unit[nv:-1])[1]]),
+            )
         return self._to_middle[1]
 
     def _advanced(self, q: Array, xi: Array, by_q: Array, by_xi: Array) -> Array:
@@ -166,24 +169,6 @@ class StepSlopes:
             turn, push = pin.dIntegrate(self._model, q, part)
             by_q, q = turn @ by_q + push[:, moves] @ by_xi[moves], pin.integrate(self._model, q, part)
         return np.asarray(by_q)
-
-    def _turned(self, turn: Array, v: Array, by_turn: Array, by_v: Array) -> tuple[Array, Array]:
-        """Rotate the axes of free bodies' velocities by `turn`; return v and its changes (nv, n)."""
-        v, by_v = v.copy(), by_v.copy()
-        for kind, _, j, _ in self._frames:
-            if kind == RIGID:
-                axes, a = slice(j, j + 3), slice(j + 3, j + 6)
-                rotation = pin.exp3(turn[a]).T
-                v[axes] = rotation @ v[axes]
-                bent = pin.skew(v[axes]) @ pin.Jexp3(turn[a])
-            else:
-                axes, a = slice(j, j + 2), slice(j + 2, j + 3)
-                c, s = np.cos(turn[j + 2]), np.sin(turn[j + 2])
-                rotation = np.array([[c, s], [-s, c]])
-                v[axes] = rotation @ v[axes]
-                bent = np.array([[v[j + 1]], [-v[j]]])
-            by_v[axes] = rotation @ by_v[axes] + bent @ by_turn[a]
-        return v, by_v
 
     def through(self, x: Array, step: DenseStep, force: Array) -> Array:
         """Return changes x (3 nv + 1, n) after a step, or at the impact that cuts it.
@@ -455,7 +440,7 @@ class StepSlopes:
         """Return changes (2 nv, n) after a fraction of a step, which itself changes by `shift` (n,). (D34)"""
         nv, h, v, by_v, length = len(step.v), step.h, step.v, x[len(step.v) : 2 * len(step.v)], moved.length
         back, by_back = -0.5 * h * v, -0.5 * h * by_v - _outer(0.5 * v, length)
-        last, by_last = self._turned(back, _taken(step).found.v_end, by_back, moved.v_end)
+        last, by_last = turned_axes(self._frames, back, _taken(step).found.v_end, by_back, moved.v_end)
         mean, change, bend = 0.5 * (v + last), last - v, 0.5 * part * (1.0 - part)
         by_mean, by_change = 0.5 * (by_v + by_last), by_last - by_v
         xi = part * h * mean - bend * h * change
@@ -464,7 +449,7 @@ class StepSlopes:
         by_xi += _outer(h * mean - (0.5 - part) * h * change, shift)
         reached = by_v + part * by_change + _outer(change, shift)
         by_q = self._advanced(step.q, xi, x[:nv], by_xi)
-        return np.vstack([by_q, self._turned(xi, v + part * change, by_xi, reached)[1]])
+        return np.vstack([by_q, turned_axes(self._frames, xi, v + part * change, by_xi, reached)[1]])
 
     def _removed(self, x: Array, taken: StepTaken) -> Array:
         """Return changes (2 nv, n) after the removal of overlap at the end of a step. (D36)"""
@@ -492,7 +477,10 @@ class StepSlopes:
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
             by_xi = free + response @ impulses
-            by_q, by_v = self._advanced(before, xi, by_q, by_xi), self._turned(xi, v, by_xi, by_v)[1]
+            by_q, by_v = (
+                self._advanced(before, xi, by_q, by_xi),
+                turned_axes(self._frames, xi, v, by_xi, by_v)[1],
+            )
         return np.vstack([by_q, by_v])
 
 
