@@ -112,13 +112,14 @@ class StepSlopes:
         self._impacts = [-1 if one else p.contact for one, p in zip(friction, parameters, strict=True)]
         self.boundary = Boundary.NONE
         self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
-        self._carried = np.zeros(model.nv, dtype=bool)
+        carried = np.zeros(model.nv, dtype=bool)
         # results for the last step
         self._known: tuple[StepTaken, _Rows] | None = None
         self._held: tuple[StepTaken, StepLaw] | None = None
         self._to_middle: tuple[DenseStep, Array] | None = None
         for kind, _, j, _ in self._frames:
-            self._carried[j : j + (3 if kind == RIGID else 2)] = True
+            carried[j : j + (3 if kind == RIGID else 2)] = True
+        self._phases = [moves for moves in (carried, ~carried) if moves.any()]
 
     def begin(self, x: Array, step: DenseStep) -> Array:
         """Project changes before the first step onto those that active contacts admit. (`Boundary.CLOSED`)
@@ -164,7 +165,7 @@ class StepSlopes:
 
     def _advanced(self, q: Array, xi: Array, by_q: Array, by_xi: Array) -> Array:
         """Return changes (nv, n) of q ⊕ ξ in the charts of a step: positions move first, then bodies turn."""
-        for moves in (self._carried, ~self._carried):
+        for moves in self._phases:
             part = np.where(moves, xi, 0.0)
             turn, push = pin.dIntegrate(self._model, q, part)
             by_q, q = turn @ by_q + push[:, moves] @ by_xi[moves], pin.integrate(self._model, q, part)
