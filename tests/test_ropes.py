@@ -9,9 +9,13 @@ import pinocchio as pin
 import pytest
 
 from pinimpact import Scene, simulate
-from pinimpact.robot.articulated_bodies import acceleration_slopes, is_accurate
+from pinimpact.robot.articulated_bodies import is_accurate
 from pinimpact.robot.forest import inverse_mass
 from pinimpact.robot.pinocchio_bridge import robot_dynamics
+from pinimpact.scene.dense_step import WORKS, DenseStep
+from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.mode_slopes import SlopesOfModes
+from pinimpact.scene.options import Options
 
 from .drawing import one_of_each
 from .scene_models import unbounded
@@ -82,7 +86,10 @@ def test_derivatives_of_accelerations():
     assert not is_accurate(model)
     q, v, tau = moving(model, 1)
     tau = 1e-3 * tau
-    slopes = acceleration_slopes(model, model.createData(), q, v, tau)
+    motion = Integrator(Scene(model), q, v, Options())
+    still = np.zeros(WORKS), np.zeros((7, 2 * model.nv + WORKS)), motion.work.joint_charts
+    slopes = SlopesOfModes(motion.dynamics, motion.model, (), tau)
+    by_state = slopes.within(DenseStep(0.0, 1.0, q, v, *still), np.zeros(1)).by_state[0]
 
     def acceleration(q, v):
         upper, data = np.triu(pin.crba(model, model.createData(), q)), model.createData()
@@ -93,5 +100,5 @@ def test_derivatives_of_accelerations():
     by_q = acceleration(pin.integrate(model, q, e * along), v)
     by_q = (by_q - acceleration(pin.integrate(model, q, -e * along), v)) / (2.0 * e)
     by_v = (acceleration(q, v + e * along) - acceleration(q, v - e * along)) / (2.0 * e)
-    assert slopes[0] @ along == pytest.approx(by_q, abs=1e-5 * np.abs(by_q).max())
-    assert slopes[1] @ along == pytest.approx(by_v, abs=1e-5 * np.abs(by_v).max())
+    assert by_state[:, : model.nv] @ along == pytest.approx(by_q, abs=1e-5 * np.abs(by_q).max())
+    assert by_state[:, model.nv :] @ along == pytest.approx(by_v, abs=1e-5 * np.abs(by_v).max())

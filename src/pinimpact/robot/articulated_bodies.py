@@ -22,13 +22,13 @@ def is_accurate(model: pin.Model) -> bool:
 
     This is measured once for a model, at a random state, and again if it grows.
     """
-    nested = [j for j in range(1, model.njoints) if model.nvs[j] > 1 and model.parents[j] > 0]
-    if len(nested) < 2 or len(model.mimicking_joints) > 0:
-        return True
     return once(_known, model, _measure)
 
 
 def _measure(model: pin.Model) -> bool:
+    nested = [j for j in range(1, model.njoints) if model.nvs[j] > 1 and model.parents[j] > 0]
+    if len(nested) < 2 or len(model.mimicking_joints) > 0:
+        return True
     rng, data = np.random.default_rng(0), model.createData()
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.0, 1.0, model.nv))
     v, expected = rng.normal(size=(2, model.nv))
@@ -57,16 +57,3 @@ def eliminate(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) 
     """Return v̇ (nv,) without contact forces, and M (nv, nv)."""
     mass = pin.crba(model, data, q)
     return np.linalg.solve(mass, tau - pin.nonLinearEffects(model, data, q, v)), mass
-
-
-def acceleration_slopes(
-    model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array
-) -> tuple[Array, Array, Array]:
-    """Return ∂v̇/∂q, ∂v̇/∂v and ∂v̇/∂τ (nv, nv), those of `computeABADerivatives`."""
-    if is_accurate(model):
-        by_q, by_v, by_tau = pin.computeABADerivatives(model, data, q, v, tau)
-        return by_q, by_v, by_tau
-    acceleration, mass = eliminate(model, data, q, v, tau)
-    by_q, by_v, _ = pin.computeRNEADerivatives(model, data, q, v, acceleration)
-    inverse = inverse_of(mass)
-    return -inverse @ by_q, -inverse @ by_v, inverse

@@ -83,13 +83,13 @@ class Corner(NamedTuple):
         one = _Side(a, _motions(columns, shifts[:, places.TIP]), p)
         two = _Side(b, _motions(columns, shifts[:, places.CARRIER]), q)
         if self.kind == PLANE:
-            moved, turn, radius = _over_face(one, two, n), np.cross(two.motions[1], n), a.shape.radius
+            moved, turn, radius = _over_face(one, two, n), two.motions[1] @ pin.skew(n), a.shape.radius
         else:
-            moved, turn, radius = _over_face(two, one, -n), np.cross(one.motions[1], n), -b.shape.radius
+            moved, turn, radius = _over_face(two, one, -n), one.motions[1] @ pin.skew(n), -b.shape.radius
         if moved is None:
             raise self._unknown
         shifts[:, :3] = moved - radius * turn
-        shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)
+        shifts[:, places.TURN : places.TURN + 3] = -turn @ pin.skew(n)
         return any(s.at_vertex and o.edge is not None for s, o in ((one, two), (two, one)))
 
 
@@ -124,7 +124,7 @@ class _Side(NamedTuple):
 
     def moves(self, point: Array) -> Array:
         """Return the velocities (nv, 3) of a point that moves with it."""
-        return np.asarray(self.motions[0] + np.cross(self.motions[1], point))
+        return np.asarray(self.motions[0] + self.motions[1] @ pin.skew(point))
 
     @property
     def _near(self) -> float:
@@ -143,12 +143,12 @@ class _Side(NamedTuple):
         if len(ends) == 0:  # a ball
             return None
         along = ends[:, 1] - ends[:, 0]
-        moments = np.cross(self.point - ends[:, 0], along / np.linalg.norm(along, axis=1)[:, None])
-        distances = np.linalg.norm(moments, axis=1)
+        arms, along = self.point - ends[:, 0], along / np.linalg.norm(along, axis=1)[:, None]
+        distances = np.linalg.norm(arms - (arms * along).sum(axis=1)[:, None] * along, axis=1)
         k = int(np.argmin(distances))
         if distances[k] > self._near:
             return None
-        return np.asarray(along[k] / np.linalg.norm(along[k]))
+        return np.asarray(along[k])
 
 
 _NEAR = 1e3
@@ -172,5 +172,5 @@ def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
     edge, side = a.edge, b.edge
     if edge is None or side is None:
         return None
-    outward = np.cross(side, normal)
+    outward = pin.skew(side) @ normal
     return moved + np.outer((carried - moved) @ outward / (edge @ outward), edge)

@@ -57,6 +57,7 @@ class DataCache:
         self.joints: tuple[Integers, Integers] | None = None
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
+        self._ends: dict[Any, tuple[int, int]] = {}
         self.workspaces: dict[int, tuple[Any, RobotWorkspace | None]] = {}
 
     @cached_property
@@ -104,6 +105,15 @@ class DataCache:
             if not self.mimics:
                 signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
             found = self.contacts[frame, body] = (*ends, signs)
+        return found
+
+    def ends(self, frame: str | int, body: str | int | None) -> tuple[int, int]:
+        """Return the joints of a contact's frame and of the frame to which its surface is attached."""
+        found = self._ends.get((frame, body))
+        if found is None:
+            model: Any = self.model()
+            tip, base = (model.frames[end].parentJoint for end in self.contact(frame, body)[:2])
+            found = self._ends[frame, body] = tip, base
         return found
 
 

@@ -367,13 +367,12 @@ class Tree(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Joints of tip and surface, `at` and `shifts` of `fill_place`, and the placement of the carrier."""
+    """Joints of tip and surface, and `at` and `shifts` of `fill_place`."""
 
     tip: int
     base: int
     at: Array
     shifts: Array
-    carrier: Array
 
     def move_onto_surface(self, at: ContactGeometry) -> None:
         """Replace the contact point by that of the surface below the tip; it moves with gap and normal."""
@@ -385,17 +384,13 @@ class Place(NamedTuple):
 _NO_TREE = Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
 
 
-def contact_place(
-    placed: PlacedRobot, tree: Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
-) -> Place:
+def contact_place(placed: PlacedRobot, tree: Tree, contact: Contact, turns: bool, n: int) -> Place:
     """Return the `Place` of a contact; `turns` as for `fill_place`, `n` is nv, or 0 for no `shifts`."""
-    frames, ids = placed.model.frames, placed.cache.contact(contact.frame, contact.plane.body)[:2]
-    joints = frames[ids[0]].parentJoint, frames[ids[1]].parentJoint
+    joints = placed.cache.ends(contact.frame, contact.plane.body)
     at, shifts = np.empty(places.PLACE), np.empty((n, places.SHIFT))
-    frame, carrier = (np.ascontiguousarray(one[:3].T).ravel() for one in placed.placements(contact))
-    rest = contact.constants.copy(), geometry.axes.ravel(), turns, *tree, *joints, at, shifts
-    places.fill_place(frame, carrier, *rest)
-    return Place(*joints, at, shifts, carrier)
+    frame, carrier = placed.placements(contact)
+    places.fill_place_at(frame, carrier, contact.constants.copy(), turns, *tree, *joints, at, shifts)
+    return Place(*joints, at, shifts)
 
 
 def _by_matrices(
@@ -432,10 +427,11 @@ def _by_matrices(
     slopes = np.column_stack([d.dP_dv, d.dP_ddelassus.reshape(3, 9), d.dP_dfriction, d.dP_drestitution])
     placed, n, y = PlacedRobot(model, data, q), nv if by_q else 0, np.ascontiguousarray(matrices.response.T)
     tree = Tree.of(placed) if by_q else _NO_TREE
-    place = contact_place(placed, tree, contact, matrices, True, n)
+    place = contact_place(placed, tree, contact, True, n)
     if on_surface:
         place.move_onto_surface(matrices)
-    tip, base, at, shifts, carrier = place
+    tip, base, at, shifts = place
+    carrier = placed.placements(contact)[1][:3].T.ravel()
     of_data, forces, turned = np.empty((9, n)), np.empty((nv, n)), np.empty((3, n))
     if by_q:
         inertia = composite_inertias(model, data, placed.q)
@@ -467,8 +463,8 @@ def _add_held(
     """Add the contributions of held contacts to ∂W/∂q and to the forces; return dΓ Δ (3k, nv). (D21)"""
     nv, pushes = len(forces), matrices.held_response  # [h, world axis, i]
     moved = np.empty((3, len(held), 3, nv))
-    for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):
-        tip, base, at, shifts, _ = contact_place(placed, tree, anchor, geometry, False, nv)
+    for h, anchor in enumerate(held):
+        tip, base, at, shifts = contact_place(placed, tree, anchor, False, nv)
         for i, x in enumerate(y):
             places.velocity_slopes(*tree, tip, base, at, shifts, tree.motions(x), False, moved[i, h])
         f1, f2, f3 = pushes[h] @ impulse

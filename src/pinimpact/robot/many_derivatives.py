@@ -18,6 +18,7 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
 from ..geometry._kernels.constants import TIP_PLANE
 from ._kernels import configuration_slopes as places
+from ._kernels.row_slopes import Rows
 from .contact import Contact
 from .corner_motion import Corner
 from .derivatives import Place, Tree, contact_place, responses, slope_of_restitution
@@ -25,7 +26,7 @@ from .held import check_at_rest
 from .many_impact import check_many, many_problem
 from .matrices import ManyMatrices, checked_matrices
 from .names import free_velocities, model_of
-from .placed_robot import ContactGeometry, PlacedRobot
+from .placed_robot import PlacedRobot
 from .touching import check_rims
 
 
@@ -76,25 +77,9 @@ class ContactRow(NamedTuple):
         """(3, nv) rotation of the axes per unit of each q_k, in world axes."""
         return self.place.shifts[:, places.TURN : places.TURN + 3].T
 
-    @property
-    def jacobian(self) -> Array:
-        """(3, nv) the rows in world axes."""
-        at, shifts, motions = self.place.at, self.place.shifts, self.tree.J
-        point = at[places.POINT : places.POINT + 3]
-        moved = motions[:3] - pin.skew(point) @ motions[3:]
-        return np.asarray((shifts[:, places.TIP] - shifts[:, places.CARRIER]) * moved)
-
-    @property
-    def of_surface(self) -> Array:
-        """(3,) velocity of the surface relative to its carrier, in world axes [m/s]."""
-        at = self.place.at
-        arm = at[places.POINT : places.POINT + 3] - at[places.ORIGIN : places.ORIGIN + 3]
-        material = at[places.MATERIAL : places.MATERIAL + 3]
-        return np.asarray(material + pin.skew(at[places.SPIN : places.SPIN + 3]) @ arm)
-
     def slopes(self, motions: Array, relative: bool = False) -> Array:
         """Return ∂(J x)/∂q (3, nv) for the motions (joints, 6) of x, see `velocity_slopes`. (D19)"""
-        tip, base, at, shifts, _ = self.place
+        tip, base, at, shifts = self.place
         out = np.empty((3, len(self.tree.joint)))
         places.velocity_slopes(*self.tree, tip, base, at, shifts, motions, relative, out)
         return out
@@ -152,16 +137,16 @@ class RowSlopes:
                 now[k] = corner.contact(placed.data, contacts[k])
             if corner.kind == TIP_PLANE:
                 self.signs[k] = -1.0
-        at, self.rows = rows_of(placed, self.tree, now, True)
-        self.axes, self.fixed = [one.axes for one in at], list(self.rows)
+        self.rows = rows_of(placed, self.tree, now, True)
+        self.axes, self.fixed = [row.axes for row in self.rows], list(self.rows)
         for k, corner in corners.items():
             if corner.on_face:
                 place = self.rows[k].place
-                (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)[1]
+                (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)
                 self.features_meet |= corner.follow(placed.data, self.tree.J, place.shifts)
         if on_surface:
-            for row, one in zip(self.rows, at, strict=True):
-                row.place.move_onto_surface(one)
+            for row, contact in zip(self.rows, now, strict=True):
+                row.place.move_onto_surface(placed.geometry(contact))
 
     def of_mass(self, x: Array) -> Array:
         """Return D(x) = ∂(M x)/∂q (nv, nv)."""
@@ -176,16 +161,19 @@ class RowSlopes:
         return out
 
 
-def rows_of(
-    placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool
-) -> tuple[list[ContactGeometry], list[ContactRow]]:
-    """Return geometry and rows of contacts, in contact axes if `turns`, else in world axes."""
-    at = [placed.geometry(contact) for contact in contacts]
-    rows = [
-        ContactRow(tree, contact_place(placed, tree, *one, turns, len(tree.joint)))
-        for one in zip(contacts, at, strict=True)
-    ]
-    return at, rows
+def stacked(tree: Tree, rows: Sequence[ContactRow]) -> Rows:
+    """Return the places of contacts as arrays."""
+    places_of = [row.place for row in rows]
+    tips = np.array([one.tip for one in places_of], dtype=np.int64)
+    bases = np.array([one.base for one in places_of], dtype=np.int64)
+    at = np.array([one.at for one in places_of]).reshape(-1, places.PLACE)
+    shifts = np.array([one.shifts for one in places_of]).reshape(-1, len(tree.joint), places.SHIFT)
+    return Rows(*tree, tips, bases, at, shifts)
+
+
+def rows_of(placed: PlacedRobot, tree: Tree, contacts: Sequence[Contact], turns: bool) -> list[ContactRow]:
+    """Return the rows of contacts, in contact axes if `turns`, else in world axes."""
+    return [ContactRow(tree, contact_place(placed, tree, one, turns, len(tree.joint))) for one in contacts]
 
 
 class ManySlopes:
@@ -207,7 +195,7 @@ class ManySlopes:
     ) -> None:
         self.matrices, self._free, self._placed = matrices, free, placed
         self._robot = robot = RowSlopes(placed, contacts, corners, None, on_surface)
-        self._held = rows_of(placed, robot.tree, held, False)[1]
+        self._held = rows_of(placed, robot.tree, held, False)
         nv, m = matrices.response.shape
         moved, self._moved_held = np.zeros((m, m, nv)), np.zeros((m, 3 * len(held), nv))
         for i, y in enumerate(matrices.response.T):

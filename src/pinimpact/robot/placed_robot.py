@@ -72,6 +72,7 @@ class PlacedRobot:
         self.cache = data_cache(self.model, data)
         self.q = checked_configuration(self.cache, self.model, q)
         self._jacobian: Array | None = None
+        self._placements: dict[tuple[int, int], tuple[Array, Array]] = {}
         forward_kinematics(self.model, data, self.q)
 
     def mass_matrix(self) -> Array:
@@ -82,8 +83,12 @@ class PlacedRobot:
     def placements(self, contact: Any) -> tuple[Array, Array]:
         """Return the (4, 4) placements of a contact's frame and of the frame of its surface."""
         frame, carrier, _ = self.cache.contact(contact.frame, contact.plane.body)
-        at = frame_placement(self.model, self.data, frame).homogeneous
-        return at, frame_placement(self.model, self.data, carrier).homogeneous if carrier else WORLD
+        known = self._placements.get((frame, carrier))
+        if known is None:
+            at = frame_placement(self.model, self.data, frame).homogeneous
+            on = frame_placement(self.model, self.data, carrier).homogeneous if carrier else WORLD
+            self._placements[frame, carrier] = known = at, on
+        return known
 
     def columns(self, contact: Any) -> tuple[Array, Array]:
         """Return the joint Jacobian (6, nv) and signs (nv,) of `contact_kinematics.jacobian`.

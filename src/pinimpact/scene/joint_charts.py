@@ -89,3 +89,32 @@ def turning(frames: list[list[int]], v: Array) -> tuple[Array, Array]:
         by_v[axes, axes] = across
         turned[axes] = across @ v[axes]
     return turned, by_v
+
+
+def turned_axes(
+    frames: list[list[int]], turn: Array, v: Array, by_turn: Array, by_v: Array
+) -> tuple[Array, Array]:
+    """Rotate the axes of free bodies' velocities; return v (nv,) and its changes (nv, n).
+
+    Args:
+        frames: Rows of the table of free bodies (`RIGID`, `PLANAR`).
+        turn: (nv,) displacement with the rotations [rad].
+        v: (nv,) velocity.
+        by_turn: (nv, n) changes of the displacement.
+        by_v: (nv, n) changes of the velocity.
+    """
+    v, by_v = v.copy(), by_v.copy()
+    for kind, _, j, _ in frames:
+        if kind == RIGID:
+            axes, a = slice(j, j + 3), slice(j + 3, j + 6)
+            rotation = pin.exp3(turn[a]).T
+            v[axes] = rotation @ v[axes]
+            bent = pin.skew(v[axes]) @ pin.Jexp3(turn[a])
+        else:
+            axes, a = slice(j, j + 2), slice(j + 2, j + 3)
+            c, s = np.cos(turn[j + 2]), np.sin(turn[j + 2])
+            rotation = np.array([[c, s], [-s, c]])
+            v[axes] = rotation @ v[axes]
+            bent = np.array([[v[j + 1]], [-v[j]]])
+        by_v[axes] = rotation @ by_v[axes] + bent @ by_turn[a]
+    return v, by_v

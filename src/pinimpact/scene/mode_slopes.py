@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from .._numeric.tolerances import COMPUTED
-from ..arrays import Array
-from ..robot.articulated_bodies import acceleration_slopes
+from ..arrays import Array, Bools, Integers
 from ..robot.derivatives import check_joints
 from ..robot.pinocchio_bridge import Call, call_addresses
-from ._kernels.contact_forces import SLIP, STICK
+from ._kernels.contact_forces import SLIP
 from ._kernels.lie_charts import PLANAR, RIGID, ROTATION
-from ._kernels.mode_slopes import slopes_along, speeds_along
+from ._kernels.mode_slopes import constraints_at, gap_rows, slopes_along, speeds_along
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .forces import set_closed
@@ -71,7 +68,6 @@ class SlopesWithin(NamedTuple):
     inverse: Array
     by_friction: Array
     turning: Array
-    moved: Array
     yields: bool
     unique: bool
 
@@ -100,6 +96,7 @@ class SlopesOfModes:
         check_joints(model)
         self.dynamics, self.model = dynamics, model
         nv = model.nv
+        self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._parent = np.array(model.parents, dtype=np.int64)
         charts = dynamics.work.joint_charts
         turns = [
@@ -107,21 +104,25 @@ class SlopesOfModes:
         ]
         self.turned = np.concatenate([np.zeros(0, dtype=np.int64), *turns])
         self._friction, self.tau = np.array(friction, dtype=np.int64), tau.copy()
-        self._total, self._smooth = np.zeros(nv), np.zeros((3, nv, nv))
-        given = model, model.createData(), dynamics.work.q, dynamics.work.v, self._total
+        self._acceleration, self._smooth = np.zeros(nv), np.zeros((2, nv, nv))
+        given = model, model.createData(), dynamics.work.q, dynamics.work.v, self._acceleration
         self._derive = Call(_differentiate, (self._smooth, given))  # called by address from the kernel
         self._address = call_addresses([self._derive])
 
-    def within(self, step: DenseStep, times: Array, inside: bool = True) -> SlopesWithin:
-        """Return the derivatives of v̇ at times (s,) [s] within a step.
-
-        At an end of the step (`inside` False) only the constraints are differentiated, and v̇ is not.
-        """
+    def within(self, step: DenseStep, times: Array) -> SlopesWithin:
+        """Return the derivatives of v̇ at times (s,) [s] within a step."""
         ends, unique = self._set(step)
         found = slopes_along(
-            *(self.dynamics.work, self._address, self._total, self._smooth, self._parent, self._friction),
+            *(
+                self.dynamics.work,
+                self._address,
+                self._acceleration,
+                self._smooth,
+                self._parent,
+                self._friction,
+            ),
             *(step.coefficients, step.q, step.v, step.start, step.h, times),
-            *(ends, unique, step.closed is None, inside),
+            *(ends, unique, step.closed is None),
         )
         self.dynamics.check()
         return SlopesWithin(*(*found, unique))
@@ -150,52 +151,27 @@ class SlopesOfModes:
 
     def at(self, step: DenseStep, t: float) -> ModeSlopes:
         """Return v̇ and the constraints at an end of a step."""
-        found = self.within(step, np.array([t]), inside=False)
-        work, nv = self.dynamics.work, self.model.nv
-        change = work.solution @ work.force_response
-        acceleration, slips = work.acceleration + change, []
-        for k in np.flatnonzero(work.active_mode == SLIP).tolist():
-            J, G = work.contact_jacobian[k].copy(), found.moved[k]
-            rate, direction = work.contact_acceleration[k] + J @ change, work.slip_direction[k].copy()
-            slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
-        at_once = found.response[0], found.by_state[0, nv:], found.inverse[0]
-        return ModeSlopes(acceleration, *at_once, tuple(slips), self._at_bound(found.unique))
+        (ends, unique), work = self._set(step), self.dynamics.work
+        moving = step.coefficients, step.q, step.v, step.start, step.h
+        acceleration, response, rows, inverse, moved, at_bound = constraints_at(
+            work, self._parent, *moving, t, ends, unique, step.closed is None
+        )
+        self.dynamics.check()
+        slips = []
+        if step.closed is not None and step.closed.slips:
+            change = work.solution @ work.force_response
+            for k in np.flatnonzero(work.active_mode == SLIP).tolist():
+                J, G = work.contact_jacobian[k].copy(), moved[k]
+                rate, direction = work.contact_acceleration[k] + J @ change, work.slip_direction[k].copy()
+                slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
+        return ModeSlopes(acceleration, response, rows, inverse, tuple(slips), at_bound)
 
-    def gaps(self) -> list[int]:
-        """Return the rows of the constraints that are rates of gaps which remain closed."""
-        work, held, row = self.dynamics.work, self.dynamics.work.bilateral.tolist(), 0
-        found: list[int] = []
-        for i, mode in zip(work.active_index.tolist(), work.active_mode.tolist(), strict=True):
-            end = row + (1 if mode == SLIP else 3)
-            found += range(row if held[i] else end - 1, end)
-            row = end
-        if work.active_scalars == 0:
-            return found
-        lower, upper, load = work.scalar_lower, work.scalar_upper, np.abs(work.solution[row:])
-        friction = np.abs(np.where(np.isinf(lower), upper, lower))  # may hold a joint instead of its limit
-        limits = (np.isinf(lower) != np.isinf(upper)) & ((friction == 0.0) | (load > friction))
-        return found + (row + np.flatnonzero(limits)).tolist()
-
-    def _at_bound(self, unique: bool) -> bool:
-        """Whether friction of a sticking contact or joint is at its bound in the modes last evaluated.
-
-        If the forces are not unique, all of them must be at their bounds: others take over the load of one.
-        """
-        work, start = self.dynamics.work, 0
-        margins, bounds = [], []
-        for mode, friction in zip(work.active_mode.tolist(), work.active_friction.tolist(), strict=True):
-            force = work.solution[start : start + (1 if mode == SLIP else 3)]
-            start += len(force)
-            if mode == STICK:
-                bounds.append(friction * force[2])
-                margins.append(bounds[-1] - math.hypot(*force[:2].tolist()))
-        dry = np.isfinite(work.scalar_lower) & np.isfinite(work.scalar_upper)
-        bounds += work.scalar_upper[dry].tolist()
-        margins += (work.scalar_upper - np.abs(work.solution[start:]))[dry].tolist()
-        holds = [abs(m) > COMPUTED * b for m, b in zip(margins, bounds, strict=True) if b > 0.0]
-        return not all(holds) if unique else len(holds) > 0 and not any(holds)
+    def gaps(self, mode: ModeSlopes) -> tuple[Integers, Bools]:
+        """Return the rows (k,) of the present constraints that are rates of gaps; which bear a load (k,)."""
+        found = gap_rows(self.dynamics.work, mode.acceleration, mode.response, self._gravity)
+        return found[0], found[1]
 
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:
-    """Overwrite `smooth` (3, nv, nv) with ∂v̇/∂q, ∂v̇/∂v and ∂v̇/∂τ of a model, data, state and force."""
-    smooth[0], smooth[1], smooth[2] = acceleration_slopes(*given)
+    """Overwrite `smooth` (2, nv, nv) with ∂(M v̇ + h)/∂q and ∂(M v̇ + h)/∂v of a model, data, state and v̇."""
+    smooth[0], smooth[1], _ = pin.computeRNEADerivatives(*given)

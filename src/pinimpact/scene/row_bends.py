@@ -12,8 +12,10 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
+from ..robot._kernels.configuration_slopes import AXES, TURN
+from ..robot._kernels.row_slopes import Rows, row_slopes, row_velocities
 from ..robot.derivatives import Tree
-from ..robot.many_derivatives import ContactRow, RowSlopes, rows_of
+from ..robot.many_derivatives import ContactRow, RowSlopes, rows_of, stacked
 from ..robot.placed_robot import PlacedRobot
 
 PART = 1e-4
@@ -54,7 +56,9 @@ class _Along(NamedTuple):
     rate_follows: Array
 
 
-def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: Array, v: Array) -> RowBends:
+def row_bends(
+    model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, places: Rows, q: Array, v: Array
+) -> RowBends:
     """Return J̇ v of the contact rows of a time step, by differences along the velocity.
 
     Args:
@@ -62,6 +66,7 @@ def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: 
         data: Its data; they are overwritten.
         h: Step size [s].
         slopes: Derivatives of the rows at q.
+        places: Their places.
         q: (nq,) configuration at the midpoint.
         v: (nv,) velocity.
     """
@@ -71,10 +76,12 @@ def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: 
     turn, push = pin.dIntegrate(model, q, s * v)
     placed = PlacedRobot(model, data, pin.integrate(model, q, s * v))
     tree = Tree.of(placed)
-    rows = rows_of(placed, tree, slopes.carried, True)[1]
-    start = _along(0.0, slopes.fixed, slopes.tree.motions(v), slopes, v)
-    end = _along(s, rows, tree.motions(v), slopes, v)
-    axes, turns = np.array(slopes.axes), np.array([row.turns for row in slopes.rows])
+    rows = rows_of(placed, tree, slopes.carried, True)
+    corners = [i for i, row in enumerate(slopes.rows) if row is not slopes.fixed[i]]
+    fixed = stacked(slopes.tree, slopes.fixed) if corners else places
+    start = _along(0.0, slopes.fixed, fixed, corners, slopes, v)
+    end = _along(s, rows, stacked(tree, rows), corners, slopes, v)
+    axes, turns = _axes(places), _turns(places)
     bends = (end.velocity - start.velocity) / s
     by_q = (end.by_q @ turn + end.follows - start.by_q - start.follows) / s
     by_v = end.by_q @ push + (end.by_v - start.by_v) / s
@@ -85,45 +92,61 @@ def row_bends(model: pin.Model, data: pin.Data, h: float, slopes: RowSlopes, q: 
     return found
 
 
-def less_turning(found: RowBends, slopes: RowSlopes, still: Array, by_v: Array) -> RowBends:
+def less_turning(found: RowBends, places: Rows, still: Array, by_v: Array) -> RowBends:
     """Return J̇ v for velocities of free bodies that are constant in fixed axes: J (ω × v) is subtracted.
 
     Args:
         found: J̇ v for constant v.
-        slopes: Derivatives of the rows.
+        places: The places of the rows.
         still: (nv,) ω × v.
         by_v: (nv, nv) its derivative by v.
     """
-    if not slopes.rows or not by_v.any():
+    if not len(places.at) or not by_v.any():
         return found
-    motions = slopes.tree.motions(still)
-    jacobian = np.array([row.axes @ row.jacobian for row in slopes.rows])
-    by_q = np.array([row.slopes(motions) for row in slopes.rows])
+    by_q, jacobian = np.empty((2, *found.by_q.shape))
+    row_slopes(places, still, False, by_q)
+    row_velocities(places, still, jacobian, np.empty(found.bends.shape))
+    jacobian = _axes(places) @ jacobian
     return RowBends(found.bends - jacobian @ still, found.by_q - by_q, found.by_v - jacobian @ by_v)
 
 
-def _along(t: float, rows: list[ContactRow], motions: Array, slopes: RowSlopes, v: Array) -> _Along:
+def _along(
+    t: float, rows: list[ContactRow], places: Rows, corners: list[int], slopes: RowSlopes, v: Array
+) -> _Along:
     """Return the velocities of contacts at the configuration of `rows`, a time t [s] after the midpoint."""
-    axes, jacobian = (np.array([getattr(row, name) for row in rows]) for name in ("axes", "jacobian"))
-    along = np.array([row.slopes(motions, True) for row in rows])
-    velocity = jacobian @ v - np.array([row.of_surface for row in rows])
-    by_q = axes.transpose(0, 2, 1) @ along - _skews(velocity) @ np.array([row.turns for row in rows])
-    follows, normals, signs = np.zeros_like(by_q), axes[:, 2], slopes.signs[:, None]
-    rate_follows = np.zeros_like(follows[:, 0])
-    for i, (row, follow, fixed) in enumerate(zip(rows, slopes.rows, slopes.fixed, strict=True)):
-        if follow is not fixed:  # the corner moves over the shapes, and is carried along by them
-            tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
-            moves = (follow.place.shifts - fixed.place.shifts)[:, :3].T
-            tilt = -pin.skew(fixed.axes[2]) @ (follow.turns - fixed.turns)
-            moves, tilt = moves + t * pin.skew(tip) @ moves, tilt + t * pin.skew(base) @ tilt
-            follows[i] = pin.skew(tip - base) @ moves
-            rate_follows[i] = normals[i] @ follows[i] + velocity[i] @ tilt
+    along, jacobian, follows = np.zeros((3, len(rows), 3, len(v)))
+    velocity, rate_follows = np.empty((len(rows), 3)), np.zeros((len(rows), len(v)))
+    row_slopes(places, v, True, along)
+    row_velocities(places, v, jacobian, velocity)
+    axes, signs = _axes(places), slopes.signs[:, None]
+    by_q, normals = axes.transpose(0, 2, 1) @ along - _skews(velocity) @ _turns(places), axes[:, 2]
+    for i in corners:  # the corner moves over the shapes, and is carried along by them
+        row, follow, fixed, motions = rows[i], slopes.rows[i], slopes.fixed[i], rows[i].tree.motions(v)
+        tip, base = motions[row.place.tip, 3:], motions[row.place.base, 3:]
+        moves = (follow.place.shifts - fixed.place.shifts)[:, :3].T
+        tilt = -pin.skew(fixed.axes[2]) @ (follow.turns - fixed.turns)
+        moves, tilt = moves + t * pin.skew(tip) @ moves, tilt + t * pin.skew(base) @ tilt
+        follows[i] = pin.skew(tip - base) @ moves
+        rate_follows[i] = normals[i] @ follows[i] + velocity[i] @ tilt
     return _Along(
         *(signs * velocity, signs[:, None] * by_q, signs[:, None] * jacobian, signs[:, None] * follows),
         *((normals * velocity).sum(axis=1), along[:, 2], (normals[:, None] @ jacobian)[:, 0], rate_follows),
     )
 
 
+def _axes(places: Rows) -> Array:
+    """Return the axes (k, 3, 3) of contacts as rows."""
+    return places.at[:, AXES : AXES + 9].reshape(-1, 3, 3)
+
+
+def _turns(places: Rows) -> Array:
+    """Return the rotations (k, 3, nv) of the axes of contacts per unit of each q_k, in world axes."""
+    return places.shifts[:, :, TURN : TURN + 3].transpose(0, 2, 1)
+
+
 def _skews(vectors: Array) -> Array:
     """Return the matrices (k, 3, 3) of the cross products with vectors (k, 3)."""
-    return np.array([pin.skew(one) for one in vectors])
+    found, (x, y, z) = np.zeros((len(vectors), 3, 3)), vectors.T
+    found[:, 0, 1], found[:, 0, 2], found[:, 1, 2] = -z, y, -x
+    found[:, 1, 0], found[:, 2, 0], found[:, 2, 1] = z, -y, x
+    return found

@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .._numeric.tolerances import COMPUTED
 from ..arrays import Array, Bools, Integers
 from ..checks import finite_array, in_short
 from ..contact_space._kernels.tolerances import MISSED
@@ -24,7 +23,7 @@ from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, SLIP, STICK
 from ._kernels.tolerances import REMAINS, ROUNDING
-from ._kernels.variations import stop
+from ._kernels.variations import admitted, stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import Jacobian, as_events
@@ -80,7 +79,8 @@ class Saltation:
         if impacts:
             before = self.before(impacts[0], first.closed)
             if before.closed is not None:
-                x = self._admitted(x, self.slopes.at(before, before.end), self.slopes.gaps())
+                mode = self.slopes.at(before, before.end)
+                x = self._admitted(x, mode, self.slopes.gaps(mode)[0])
             return self.cross(x, before, first, impacts)
         if first.closed is None:
             return x
@@ -90,14 +90,11 @@ class Saltation:
 
     def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet) -> Array:
         """Return the admitted changes, as NaN where x moves contacts that no load would close again."""
-        dynamics, nv = self._dynamics, len(x) // 2
-        gaps, work = self.slopes.gaps(), dynamics.work
+        nv, (gaps, loaded) = len(x) // 2, self.slopes.gaps(mode)
         admitted = self._admitted(x, mode, gaps)
-        pushes = work.joint_metres[:, None] * np.abs(mode.response[:, gaps] * work.solution[gaps])
-        size = max(float(np.linalg.norm(self._model.gravity.linear)), dynamics.fastest(mode.acceleration))
-        rows = mode.rows[gaps][pushes.max(axis=0, initial=0.0) <= COMPUTED * size]
-        if not closed.unique or self._bilateral.any() or len(rows) == 0:
+        if loaded.all() or not closed.unique or self._bilateral.any():
             return admitted
+        rows = mode.rows[gaps][~loaded]
         every, size_of = np.vstack([rows @ x, rows[:, nv:] @ x[:nv]]), np.abs(rows)
         sizes = np.vstack([size_of @ np.abs(x), size_of[:, nv:] @ np.abs(x[:nv])])
         moved = (np.abs(every) > REMAINS * sizes).any(axis=0)
@@ -112,18 +109,17 @@ class Saltation:
             self.boundary |= Boundary.STICK_THRESHOLD
         return slopes
 
-    def _admitted(self, x: Array, mode: ModeSlopes, gaps: list[int]) -> Array:
+    def _admitted(self, x: Array, mode: ModeSlopes, gaps: Integers) -> Array:
         """Return changes at a start, projected onto those that the active contacts, with `gaps`, admit."""
         if len(mode.rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
-        nv = len(x) // 2
-        place = np.zeros((len(gaps), 2 * nv))
-        place[:, :nv] = mode.rows[gaps, nv:]
-        return _onto(mode, stop(place, mode.inverse @ place[:, :nv].T, 0, x))
+        return np.asarray(admitted(mode.rows, gaps, mode.response, mode.inverse, x))
 
     def _flag_rest(self, x: Array, first: DenseStep, closed: ClosedSet, after: ModeSlopes) -> None:
         """Flag changes at a start that move contacts which begin to slide: derivatives are one-sided."""
+        if not (closed.slips or closed.sliding.any()):
+            return
         work, nv, still = self._dynamics.work, len(x) // 2, self._dynamics.error(first.v)
         joints = (closed.sliding != 0.0) & (work.joint_metres * np.abs(first.v) <= still)
         if not (closed.slips or joints.any()):

@@ -9,21 +9,18 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.polynomial import Legendre
-from numpy.polynomial.legendre import legvander
 
-from .._numeric.tolerances import RANK, ROUNDOFF
 from ..arrays import Array, Integers
 from ..checks import as_tuple, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.tolerances import LEAST_INTERVAL
-from ._kernels.variations import changes_at_end, stage_equations
+from .collocation import RULES, collocate
 from .control_slopes import HeldForces, forces_by_state, jacobian_of
 from .controls import JointPD
 from .dense_step import DenseStep
@@ -38,40 +35,6 @@ from .step_slopes import StepSlopes
 
 STEEP = 0.4
 """An interval is halved if the ratio of the speeds of slip at its ends is below this number."""
-
-
-class Radau(NamedTuple):
-    """A collocation method of Radau (IIA).
-
-    Attributes:
-        nodes: (s,) c, in [0, 1].
-        weights, twice: (s, s) A and A².
-        modes: (s, s) coefficients in Legendre polynomials of values at the nodes.
-        decay, power: The error estimate is the last coefficient times `decay` and this power of the ratio of
-            the last coefficient to the first, as for e^{zt} with z → 0. (D24)
-    """
-
-    nodes: Array
-    weights: Array
-    twice: Array
-    modes: Array
-    decay: float
-    power: float
-
-
-def _radau(stages: int, decay: float, power: float) -> Radau:
-    """Return the method with s stages, of order 2s − 1 with constraints too."""
-    nodes = np.real((Legendre.basis(stages - 1) - Legendre.basis(stages)).roots()) / 2.0 + 0.5
-    powers = np.arange(1, stages + 1)
-    integrals = nodes[:, None] ** powers / powers
-    weights = integrals @ np.linalg.inv(nodes[:, None] ** (powers - 1))
-    modes = np.asarray(np.linalg.inv(legvander(2.0 * nodes - 1.0, stages - 1)), dtype=float)
-    return Radau(nodes, weights, weights @ weights, modes, decay, power)
-
-
-RULES = _radau(3, 3.0 / 35.0, 1.0), _radau(4, 1.0 / 385.0, 2.0)
-"""Rules in the order in which they are tried: three stages suffice for the short steps of a control, and four
-need fewer intervals otherwise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +165,7 @@ class MotionSlopes:
 
     def _across(self, x: Array, step: DenseStep, start: float, end: float) -> Array:
         """Return changes x (2nv, n) at the end of an interval, which is halved until the tolerance is met."""
-        if np.isnan(x).all():
+        if np.isnan(x[0, 0]) and np.isnan(x).all():
             return x
         h = end - start
         shortest = h <= _shortest(step)
@@ -212,7 +175,9 @@ class MotionSlopes:
                 self.saltation.boundary |= Boundary.STICK_THRESHOLD
                 return np.full_like(x, np.nan)
             if np.isfinite(nodes.by_state).all():
-                found, error = self._collocate(rule, nodes, h, x)
+                found, error = collocate(
+                    rule, nodes, h, x, self.saltation.slopes.turned, self.force, self._given
+                )
                 if error <= self._rtol or shortest:
                     return found
         if shortest:  # the speed of slip vanishes in it
@@ -254,61 +219,10 @@ class MotionSlopes:
         split(step.start, at_start, until, at_end)
         return found
 
-    def _collocate(self, rule: Radau, nodes: SlopesWithin, h: float, x: Array) -> tuple[Array, float]:
-        """Return changes x (2nv, n) after a time h [s], and their relative error. (D23, D24)"""
-        nv, turned, slopes = self._nv, self.saltation.slopes.turned, nodes[:5]
-        matrix, right, vanishing, start, moved = stage_equations(
-            *(h, *rule[:3], turned, self.force, *slopes, x)
-        )
-        n, below = x.shape[1], len(vanishing)
-        right[..., :n] += nodes.by_state[:, :nv] @ start
-        rates = np.linalg.solve(matrix, right.reshape(len(matrix), -1))
-        if below > 0:
-            rows = vanishing @ rates
-            rows[:, :n] += (nodes.by_state[:, nv:] @ start).reshape(below, n)
-            forces = _forces_that_stop(rows.reshape(len(start), -1, rows.shape[1]), n, nodes)
-            rates = rates[:, :n] - rates[:, n:] @ forces
-        return changes_at_end(
-            *(h, *rule[1:], turned, len(x), self._given), *(nodes.inverse, start, moved, rates)
-        )
-
 
 def _shortest(step: DenseStep) -> float:
     """Return the size of an interval that is not halved further [s]; its midpoint must be representable."""
     return max(LEAST_INTERVAL * (step.end - step.start), 2.0 * math.ulp(step.end))
-
-
-def _forces_that_stop(rows: Array, n: int, nodes: SlopesWithin) -> Array:
-    """Return the forces that make the velocities of active contacts vanish. (D23)
-
-    If they are not unique, those of equally stiff contacts are returned. Columns with NaN stay NaN.
-
-    Args:
-        rows: (s, m or 2 m, n + s m) constraint velocities, and changes of the shares of forces that are not
-            unique; n columns of changes, then columns by the forces.
-        n: Number of changes.
-        nodes: Slopes at the s stages.
-    """
-    stages, nv, m = nodes.response.shape
-    size, columns = stages * m, rows.shape[2]
-    velocities, matrix = np.split(rows[:, :m].reshape(size, columns), [n], axis=1)
-    moved = matrix.diagonal()
-    if nodes.unique and moved.min() > ROUNDOFF * moved.max():
-        return np.asarray(np.linalg.solve(matrix, velocities))
-    shares = np.zeros((stages, m, columns))
-    for i in range(stages):
-        left, sizes, _ = np.linalg.svd(nodes.by_state[i, nv : nv + m, nv:] @ nodes.response[i])
-        null = left[:, sizes <= RANK * sizes[0]]
-        onto = moved.max() * null @ null.T
-        if rows.shape[1] > m:
-            shares[i] = -onto @ rows[i, m:]
-        shares[i, :, n + i * m : n + (i + 1) * m] += onto
-    known = np.isfinite(velocities).all(axis=0)
-    shared = shares.reshape(size, columns)
-    found, right = np.full_like(velocities, np.nan), np.vstack([velocities, shared[:, :n]])[:, known]
-    matrix = np.vstack([matrix, shared[:, n:]])
-    found[:, known] = np.linalg.lstsq(matrix, right, rcond=RANK)[0]
-    return found
 
 
 class Sensitivities:

@@ -12,18 +12,20 @@ import pinocchio as pin
 from .._numeric.tolerances import COMPUTED, ROUNDING, STALLED, TINY
 from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
+from ..robot._kernels.row_slopes import row_slopes
 from ..robot.derivatives import check_joints
 from ..robot.forest import mass_matrix
-from ..robot.many_derivatives import RowSlopes
+from ..robot.many_derivatives import RowSlopes, stacked
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.lie_charts import PLANAR, RIGID
+from ._kernels.step_iterations import Changes, Places, iterate
 from ._kernels.tolerances import STEPS_DRIFT
 from .control_slopes import change_of_forces
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .impact_jumps import Parameter
-from .joint_charts import turning
+from .joint_charts import turned_axes, turning
 from .row_bends import less_turning, row_bends
 from .scene import Scene
 from .step_sets import StepLaw, dense, limit_of_compliances
@@ -36,7 +38,7 @@ class _Rows(NamedTuple):
     Attributes:
         jacobian: (rows, nv) Jacobian.
         slopes: Derivatives of the contacts by q.
-        turns: (k, 3, 3) rotations from the axes of `slopes` to those of the rows.
+        places: Places of the contacts, with rotations from the axes of `slopes` to those of the rows.
         start: (rows, n) changes of the velocities at the start.
         end: (rows, n) changes of the velocities at the end, at constant v⁺.
         gaps: (rows, n) changes of the gaps, in normal rows.
@@ -44,7 +46,7 @@ class _Rows(NamedTuple):
 
     jacobian: Array
     slopes: RowSlopes
-    turns: Array
+    places: Places
     start: Array
     end: Array
     gaps: Array
@@ -110,12 +112,14 @@ class StepSlopes:
         self._impacts = [-1 if one else p.contact for one, p in zip(friction, parameters, strict=True)]
         self.boundary = Boundary.NONE
         self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
-        self._carried = np.zeros(model.nv, dtype=bool)
+        carried = np.zeros(model.nv, dtype=bool)
         # results for the last step
         self._known: tuple[StepTaken, _Rows] | None = None
         self._held: tuple[StepTaken, StepLaw] | None = None
+        self._to_middle: tuple[DenseStep, Array] | None = None
         for kind, _, j, _ in self._frames:
-            self._carried[j : j + (3 if kind == RIGID else 2)] = True
+            carried[j : j + (3 if kind == RIGID else 2)] = True
+        self._phases = [moves for moves in (carried, ~carried) if moves.any()]
 
     def begin(self, x: Array, step: DenseStep) -> Array:
         """Project changes before the first step onto those that active contacts admit. (`Boundary.CLOSED`)
@@ -133,46 +137,39 @@ class StepSlopes:
         pushed = np.zeros((2 * nv, 2 * len(kept)))
         pushed[:nv, : len(kept)] = inverse @ law.jacobian[kept].T
         pushed[nv:, len(kept) :] = inverse @ law.pushes().T
-        every = np.hstack([x[: 2 * nv], pushed])
-        rows = self._rows(taken, self._middle(step, every, np.zeros(every.shape[1])))
-        missed = np.vstack([rows.gaps[kept], rows.start[kept]])
+        maps = self._maps(taken)
+        rows = np.vstack([maps.gaps[kept], maps.start[kept]])[:, :-1] @ self._half(step)[:, :-1]
+        missed = rows @ np.hstack([x[: 2 * nv], pushed])
         soft = np.tile(law.softness(), 2)
         x[: 2 * nv] -= pushed @ limit_of_compliances(missed[:, n:], missed[:, :n], soft)
         return x
 
     def _middle(self, step: DenseStep, x: Array, length: Array) -> tuple[Array, Array, Array]:
         """Return changes of the midpoint's q (nv, n) and v (nv, n), and of the step size (n,)."""
-        nv, way = len(step.v), 0.5 * step.h * step.v
-        by_v = x[nv : 2 * nv]
-        by_way = 0.5 * step.h * by_v + 0.5 * np.outer(step.v, length)
-        by_q = self._advanced(step.q, way, x[:nv], by_way)
-        return by_q, self._turned(way, step.v, by_way, by_v)[1], length
+        nv = len(step.v)
+        moved = self._half(step) @ np.vstack([x[: 2 * nv], length])
+        return moved[:nv], moved[nv:], length
+
+    def _half(self, step: DenseStep) -> Array:
+        """Return the derivatives (2 nv, 2 nv + 1) of the midpoint's q and v by q, v and the step size."""
+        if self._to_middle is None or self._to_middle[0] is not step:
+            nv, way = len(step.v), 0.5 * step.h * step.v
+            unit = np.eye(2 * nv + 1)
+            by_way = 0.5 * step.h * unit[nv:-1] + 0.5 * np.outer(step.v, unit[-1])
+            by_q = self._advanced(step.q, way, unit[:nv], by_way)
+            self._to_middle = (
+                step,
+                np.vstack([by_q, turned_axes(self._frames, way, step.v, by_way, unit[nv:-1])[1]]),
+            )
+        return self._to_middle[1]
 
     def _advanced(self, q: Array, xi: Array, by_q: Array, by_xi: Array) -> Array:
         """Return changes (nv, n) of q ⊕ ξ in the charts of a step: positions move first, then bodies turn."""
-        for moves in (self._carried, ~self._carried):
+        for moves in self._phases:
             part = np.where(moves, xi, 0.0)
             turn, push = pin.dIntegrate(self._model, q, part)
             by_q, q = turn @ by_q + push[:, moves] @ by_xi[moves], pin.integrate(self._model, q, part)
         return np.asarray(by_q)
-
-    def _turned(self, turn: Array, v: Array, by_turn: Array, by_v: Array) -> tuple[Array, Array]:
-        """Rotate the axes of free bodies' velocities by `turn`; return v and its changes (nv, n)."""
-        v, by_v = v.copy(), by_v.copy()
-        for kind, _, j, _ in self._frames:
-            if kind == RIGID:
-                axes, a = slice(j, j + 3), slice(j + 3, j + 6)
-                rotation = pin.exp3(turn[a]).T
-                v[axes] = rotation @ v[axes]
-                bent = pin.skew(v[axes]) @ pin.Jexp3(turn[a])
-            else:
-                axes, a = slice(j, j + 2), slice(j + 2, j + 3)
-                c, s = np.cos(turn[j + 2]), np.sin(turn[j + 2])
-                rotation = np.array([[c, s], [-s, c]])
-                v[axes] = rotation @ v[axes]
-                bent = np.array([[v[j + 1]], [-v[j]]])
-            by_v[axes] = rotation @ by_v[axes] + bent @ by_turn[a]
-        return v, by_v
 
     def through(self, x: Array, step: DenseStep, force: Array) -> Array:
         """Return changes x (3 nv + 1, n) after a step, or at the impact that cuts it.
@@ -234,13 +231,14 @@ class StepSlopes:
         softer = softened / h + 0.25 * h * stiffness  # derivative of `softened` by h
         mass = mass_matrix(self._model, self._data, q)
         total = mass + np.diag(softened)
+        inverse = np.asarray(np.linalg.inv(total), dtype=float)
 
         def right(mean: Array, by_mean: Array, change: Array) -> Array:
             """Return h δf − δM `change`, for forces f at a mean velocity."""
             still, by_still = turning(self._frames, mean)
             slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h - still)
-            by_state = slopes[0] @ middle + stiffness[:, None] * middle - mass @ (by_still @ by_mean)
-            by_state += slopes[1] @ by_mean + damping[:, None] * by_mean
+            slopes_v = slopes[1] + np.diag(damping) - mass @ by_still
+            by_state = (slopes[0] + np.diag(stiffness)) @ middle + slopes_v @ by_mean
             if self._controlled is not None:
                 moved = np.vstack([middle, by_mean, -0.5 * length])
                 given = step.start + 0.5 * h, (q, mean), moved
@@ -248,8 +246,8 @@ class StepSlopes:
             return np.asarray(h * (force - by_state))
 
         first = found.foreseen - v - h * taken.pushed
-        predicted = right(v, by_v, first) + np.outer(total @ first / h - softer * first, length)
-        predicted = np.linalg.solve(total, predicted) + by_v + np.outer(taken.pushed, length)
+        predicted = right(v, by_v, first) + _outer(total @ first / h - softer * first, length)
+        predicted = inverse @ predicted + by_v + _outer(taken.pushed, length)
         if taken.pushed.any():  # it is zero in the first step
             predicted += h * by_pushed
 
@@ -259,8 +257,8 @@ class StepSlopes:
             change, expected = found.v_end - v, found.predicted - v
             acting = (total @ change - 0.5 * h * damping * expected - rows.jacobian.T @ found.impulse) / h
             known = known + 0.5 * h * damping[:, None] * (predicted - by_v) + total @ by_v
-            known += np.outer(acting + 0.5 * damping * expected - softer * change, length)
-            given = rows, (total, softer), (middle, known, length)
+            known += _outer(acting + 0.5 * damping * expected - softer * change, length)
+            given = rows, (total, inverse, softer), (middle, known, length)
             moved = self._solve(taken, False, *given)
             self._refuse_ties(taken, moved, given)
             return moved
@@ -282,6 +280,8 @@ class StepSlopes:
 
     def _refuse_landings(self, taken: StepTaken, moved: _Moved) -> None:
         """Set derivatives by coefficients of impacts to NaN where a contact lands without one, at e = 0."""
+        if not self._impacts:
+            return
         contacts, found = taken.rows.contacts, taken.found
         lands = found.fast[: len(contacts)] & self._alike[contacts]
         closes = (found.gap_end[: len(contacts)] < 0.0) & (len(taken.arriving) == 0)
@@ -298,6 +298,8 @@ class StepSlopes:
         at the end is removed or not, by the sign of these gaps.
         """
         found, rows = taken.found, taken.rows
+        if not found.fast.any():
+            return
         middle = found.gap_end - 0.5 * taken.h * found.u_end[rows.normals]
         touch = (np.abs(middle) <= taken.touching) | (np.abs(found.gap_end) <= taken.touching)
         if (found.fast & taken.collides & ~found.arrives).any():  # by Newton's law (16.5)
@@ -334,46 +336,32 @@ class StepSlopes:
         taken: StepTaken,
         otherwise: bool,
         rows: _Rows,
-        matrices: tuple[Array, Array],
+        matrices: tuple[Array, Array, Array],
         changes: tuple[Array, Array, Array],
     ) -> _Moved:
         """Return the changes in a step from those of the forces at constant velocities and impulses. (D40)
 
         Ties are decided as in the step, or the opposite way if `otherwise`.
         """
-        (total, softer), (middle, known, length) = matrices, changes
+        (total, inverse, softer), (middle, known, length) = matrices, changes
         jacobian, found, h, law = rows.jacobian, taken.found, taken.h, self._law(taken)
-        response = np.asarray(np.linalg.solve(total, jacobian.T), dtype=float)
+        response = np.asarray(inverse @ jacobian.T)
         largest = law.largest(response)
-        softened = self._softened(rows, response, largest, (middle, length), matrices)
+        softened = self._softened(rows, response, largest, (middle, length), softer)
         closing = rows.end + np.where(law.closes, 1.0 / h, 0.0)[:, None] * rows.gaps
-        closing -= np.outer(law.targets / h, length)
-        impulses, forces, by_friction = np.zeros_like(rows.end), np.zeros_like(known), np.zeros_like(rows.end)
+        closing -= _outer(law.targets / h, length)
+        impulses, by_friction = np.zeros((2, *rows.end.shape))
         for column, contact in enumerate(self._friction, known.shape[1] - len(self._friction)):
             of = taken.rows.contacts == contact
             by_friction[: 3 * len(of), column] = np.repeat(of, 3)
-        v_end = np.asarray(np.linalg.solve(total, known), dtype=float)
-        tied = False
-        for one in law.iterations(response, largest, otherwise):
-            own = one.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
-            forces, moving = rows.slopes.forces(own[:, 0]) @ middle, closing
-            pushed = forces
-            if one.shift.any():
-                pushed = forces - rows.slopes.of_mass(one.shift) @ middle
-                pushed -= np.outer(softer * one.shift, length)
-                moving, motions = closing.copy(), rows.slopes.tree.motions(one.shift)
-                for k, row in enumerate(rows.slopes.rows):
-                    moving[3 * k : 3 * k + 3] += rows.turns[k] @ row.slopes(motions) @ middle
-            impulses = one.kept @ impulses - one.stiff @ moving + one.bent[:, None] * softened
-            impulses += np.outer(one.by_length, length) + one.by_friction[:, None] * by_friction
-            matrix = total + jacobian.T @ one.stiff @ jacobian
-            v_end = np.asarray(np.linalg.solve(matrix, known + pushed + jacobian.T @ impulses), dtype=float)
-            impulses -= one.stiff @ (jacobian @ v_end)
-            tied |= one.tied
+        data = Changes(jacobian, total, softer, middle, length, known, closing, softened, by_friction)
+        v_end, forces = inverse @ known, np.zeros_like(total)
+        course = law.iterations(response, largest, rows.slopes.of_mass)
+        tied = iterate(law.numbers, rows.places, data, course, otherwise, v_end, impulses, forces)
         u_end, change = jacobian @ v_end + rows.end, response @ found.impulse
-        after = forces + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
-        after -= np.outer(softer * change, length)
-        mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
+        after = forces @ middle + jacobian.T @ impulses - rows.slopes.of_mass(change) @ middle
+        after -= _outer(softer * change, length)
+        mean = np.asarray(inverse @ after / h - _outer(change / h**2, length))
         return _Moved(middle, v_end, mean, rows.start, u_end, length, rows, tied)
 
     def _softened(
@@ -382,17 +370,17 @@ class StepSlopes:
         response: Array,
         largest: Integers,
         moved: tuple[Array, Array],
-        matrices: tuple[Array, Array],
+        softer: Array,
     ) -> Array:
         """Return the relative changes (rows, n) of the r of (16.3), with the largest rows of W."""
-        (middle, length), (_, softer) = moved, matrices
+        middle, length = moved
         out = np.zeros((len(largest), middle.shape[1]))
-        for top in np.unique(largest).tolist():
+        for top in set(largest.tolist()):
             y, k = response[:, top], top // 3
             turned = np.zeros(out.shape[1])
-            if k < len(rows.turns):
+            if k < len(rows.slopes.rows):
                 slopes = rows.slopes.rows[k].slopes(rows.slopes.tree.motions(y))
-                turned = 2.0 * (rows.turns[k] @ slopes)[top % 3] @ middle
+                turned = 2.0 * (rows.places.turns[k] @ slopes)[top % 3] @ middle
             turned = turned - y @ rows.slopes.of_mass(y) @ middle - y @ (softer * y) * length
             out[largest == top] = turned / max(rows.jacobian[top] @ y, TINY)
         return out
@@ -410,19 +398,22 @@ class StepSlopes:
             return self._known[1]
         v, h = taken.v, taken.h
         nv = len(v)
-        jacobian = dense(taken.rows, nv)
+        jacobian = self._law(taken).jacobian
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, *taken.near, self._spare)
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
         start, end, gaps = np.zeros((3, len(jacobian), 2 * nv + 1))
         gaps[:, :nv] = start[:, nv:-1] = jacobian
+        places, moved = (
+            Places(stacked(slopes.tree, slopes.rows), taken.axes, turns),
+            np.empty((len(turns), 3, nv)),
+        )
         for out, velocity in ((start, v), (end, taken.found.v_end)):
-            motions = slopes.tree.motions(velocity)
-            for k, row in enumerate(slopes.rows):
-                out[3 * k : 3 * k + 3, :nv] = turns[k] @ row.slopes(motions, True)
+            row_slopes(places.rows, velocity, True, moved)
+            out[: 3 * len(turns), :nv] = (turns @ moved).reshape(-1, nv)
         if taken.found.bent[0]:
-            bends = row_bends(self._model, self._aside, h, slopes, taken.middle, v)
-            bends = less_turning(bends, slopes, *turning(self._frames, v))
+            bends = row_bends(self._model, self._aside, h, slopes, places.rows, taken.middle, v)
+            bends = less_turning(bends, places.rows, *turning(self._frames, v))
             every = np.concatenate(
                 [0.5 * h * bends.by_q, 0.5 * h * bends.by_v, 0.5 * bends.bends[:, :, None]], 2
             )
@@ -431,7 +422,7 @@ class StepSlopes:
             end[: len(turned)] += turned
             gaps[2 : len(turned) : 3] -= 0.25 * h * every[:, 2]
             gaps[2 : len(turned) : 3, -1] -= 0.125 * h * bends.bends[:, 2]
-        self._known = taken, _Rows(jacobian, slopes, turns, start, end, gaps)
+        self._known = taken, _Rows(jacobian, slopes, places, start, end, gaps)
         return self._known[1]
 
     # ---- impacts, dense output and removal of overlap
@@ -449,17 +440,17 @@ class StepSlopes:
     def _within(self, x: Array, moved: _Moved, step: DenseStep, part: float, shift: Array) -> Array:
         """Return changes (2 nv, n) after a fraction of a step, which itself changes by `shift` (n,). (D34)"""
         nv, h, v, by_v, length = len(step.v), step.h, step.v, x[len(step.v) : 2 * len(step.v)], moved.length
-        back, by_back = -0.5 * h * v, -0.5 * h * by_v - 0.5 * np.outer(v, length)
-        last, by_last = self._turned(back, _taken(step).found.v_end, by_back, moved.v_end)
+        back, by_back = -0.5 * h * v, -0.5 * h * by_v - _outer(0.5 * v, length)
+        last, by_last = turned_axes(self._frames, back, _taken(step).found.v_end, by_back, moved.v_end)
         mean, change, bend = 0.5 * (v + last), last - v, 0.5 * part * (1.0 - part)
         by_mean, by_change = 0.5 * (by_v + by_last), by_last - by_v
         xi = part * h * mean - bend * h * change
         by_xi = part * h * by_mean - bend * h * by_change
-        by_xi += np.outer(part * mean - bend * change, length)
-        by_xi += np.outer(h * mean - (0.5 - part) * h * change, shift)
-        reached = by_v + part * by_change + np.outer(change, shift)
+        by_xi += _outer(part * mean - bend * change, length)
+        by_xi += _outer(h * mean - (0.5 - part) * h * change, shift)
+        reached = by_v + part * by_change + _outer(change, shift)
         by_q = self._advanced(step.q, xi, x[:nv], by_xi)
-        return np.vstack([by_q, self._turned(xi, v + part * change, by_xi, reached)[1]])
+        return np.vstack([by_q, turned_axes(self._frames, xi, v + part * change, by_xi, reached)[1]])
 
     def _removed(self, x: Array, taken: StepTaken) -> Array:
         """Return changes (2 nv, n) after the removal of overlap at the end of a step. (D36)"""
@@ -487,8 +478,16 @@ class StepSlopes:
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
             impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
             by_xi = free + response @ impulses
-            by_q, by_v = self._advanced(before, xi, by_q, by_xi), self._turned(xi, v, by_xi, by_v)[1]
+            by_q, by_v = (
+                self._advanced(before, xi, by_q, by_xi),
+                turned_axes(self._frames, xi, v, by_xi, by_v)[1],
+            )
         return np.vstack([by_q, by_v])
+
+
+def _outer(vector: Array, changes: Array) -> Any:
+    """Return vector (k,) times changes (n,), (k, n); 0 if nothing changes, as most step sizes."""
+    return np.outer(vector, changes) if changes.any() else 0.0
 
 
 def _taken(step: DenseStep) -> StepTaken:

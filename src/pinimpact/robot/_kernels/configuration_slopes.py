@@ -14,9 +14,10 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
 from ..._numeric.products import add
 from ...geometry._kernels import constants as layout
-from .contact_kinematics import distance, relative
+from ...geometry._kernels.contact_axes import contact_axes
+from .contact_kinematics import at_contact, distance, relative
 from .contact_motion import rates_at_contact
-from .placement import cross, direction, place
+from .placement import cross, direction, place, pose
 
 AXES, POINT, ORIGIN, MATERIAL, SPIN, TURNS, PLACE = 0, 9, 12, 15, 18, 21, 22
 """Layout of the place of a contact: axes as rows (9); contact point, point of the surface, velocity of the
@@ -71,6 +72,19 @@ def fill_place(R, S, k, axes, turns, J, joint, parent, tip, base, at, shifts):
         a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
         shift[3], shift[4], shift[5] = U[0] + a1, U[1] + a2, U[2] + a3
         shift[TURN], shift[TURN + 1], shift[TURN + 2] = cross(n1, n2, n3, m1, m2, m3)
+
+
+@declared(
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOATS, bool, FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS),
+    *(FLOAT_ROWS,),
+)
+@jit
+def fill_place_at(frame, carrier, k, turns, J, joint, parent, tip, base, at, shifts):
+    """Compute the place of a contact like `fill_place`, for placements (4, 4) of its frame and carrier."""
+    R, S, axes = np.array(pose(frame)), np.array(pose(carrier)), np.empty(9)
+    _, axes[6], axes[7], axes[8], _, _, _ = at_contact(R, S, k)
+    axes[0], axes[1], axes[2], axes[3], axes[4], axes[5] = contact_axes(axes[6], axes[7], axes[8])
+    fill_place(R, S, k, axes, turns, J, joint, parent, tip, base, at, shifts)
 
 
 @inlined

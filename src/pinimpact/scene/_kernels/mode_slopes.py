@@ -7,9 +7,9 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign
-from ..._numeric.products import dot
-from ..._numeric.tolerances import RANK
+from ..._numeric.loops import assign, flags
+from ..._numeric.products import add, add_product, apply_symmetric, dot
+from ..._numeric.tolerances import COMPUTED, RANK
 from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
@@ -35,7 +35,7 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
         scratch: (joints, 6) scratch array.
         axes: (k, 3, 3) is overwritten with the axes of the active contacts, as rows.
         velocities: (k, 3, nv) is overwritten with ∂(contact velocity)/∂q, in axes that turn with the surface.
-        forces: (nv, nv) is overwritten with ∂(Jᵀf)/∂q for forces that turn with the axes.
+        forces: (nv, nv) is overwritten with ∂(Jᵀf)/∂q for forces that turn with the axes; (0, 0): not needed.
     """
     index, force = work.active_index, work.contact_force
     columns, joint = work.joint_jacobian, work.velocity_joint
@@ -46,8 +46,9 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
     for m in range(len(index)):
         tip, base = _fill_place(work, parent, index[m], axes[m], at, shifts)
         slopes.velocity_slopes(columns, joint, parent, tip, base, at, shifts, scratch, True, velocities[m])
-        f1, f2, f3 = rotate(at, force[m, 0], force[m, 1], force[m, 2])
-        slopes.force_slopes(columns, joint, parent, at, shifts, f1, f2, f3, forces)
+        if len(forces) > 0:
+            f1, f2, f3 = rotate(at, force[m, 0], force[m, 1], force[m, 2])
+            slopes.force_slopes(columns, joint, parent, at, shifts, f1, f2, f3, forces)
 
 
 @inlined
@@ -64,20 +65,20 @@ def _fill_place(work, parent, i, axes, at, shifts):
 @declared(
     *(SceneWorkspace, INTEGERS, FLOATS, FLOAT_STACK, INTEGERS, INTEGERS),
     *(FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS),
-    *(FLOAT_STACK, bool, bool, bool),
+    *(FLOAT_STACK, bool, bool),
 )
 @jit
 def slopes_along(
-    work, derive, total, smooth, parent, friction, coefficients, q0, v0, start, h, times, ends, unique,
-    free, inside,
+    work, derive, acceleration, smooth, parent, friction, coefficients, q0, v0, start, h, times, ends, unique,
+    free,
 ):  # fmt: skip
     """Return derivatives of v̇ and of the m vanishing velocities at several times within a step. (D23)
 
     Args:
         work: The workspace, with the modes, constants of the contacts, signs of dry friction and control.
-        derive: Addresses of a function that fills `smooth` for the forces `total`, and of its arguments.
-        total: (nv,) is overwritten with all generalized forces.
-        smooth: (3, nv, nv) array for ∂v̇/∂q, ∂v̇/∂v and M⁻¹ under these.
+        derive: Addresses of a function that fills `smooth` for v̇ = `acceleration`, and of its arguments.
+        acceleration: (nv,) is overwritten with v̇.
+        smooth: (2, nv, nv) array for the derivatives of M v̇ + h by q and v, at constant v̇.
         parent: (joints,) parent of each joint; joint 0 is the world.
         friction: Numbers of the contacts whose coefficients of friction are parameters; −1 for none.
         coefficients, q0, v0, start, h: The step, see `DenseStep`.
@@ -85,14 +86,12 @@ def slopes_along(
         ends: (2, k, 2) directions of slip of active contacts, at the start and at the end of the step.
         unique: As in `forces_at`.
         free: Whether the active set is empty, so that drives may reach their limits.
-        inside: Whether to differentiate v̇; not at the ends of a step, where the speed of slip may be zero.
 
     Returns:
         by_state (s, nv + m or nv + 2 m, 2 nv): ∂v̇/∂(q, v), then the rows of the vanishing velocities, then,
-        inside and unless forces are unique, those of `_fill_shares`; derivatives of v̇ with respect to the
+        unless forces are unique, those of `_fill_shares`; derivatives of v̇ with respect to the
         forces of the rows (s, nv, m); M⁻¹ (s, nv, nv); derivatives of v̇ with respect to friction (s, nv, n);
-        N of the joints that turn (s, k, k); ∂(contact velocity)/∂q (k, 3, nv) at the last time; whether a
-        sticking contact yields beside others that slip.
+        N of the joints that turn (s, k, k); and whether a sticking contact yields beside others that slip.
     """
     close(work, np.zeros((work.contacts, 2)))
     nv, stages, rows, index = len(v0), len(times), work.active_rows, work.active_index
@@ -100,35 +99,98 @@ def slopes_along(
     for k in range(len(work.joint_charts)):
         if work.joint_charts[k, 0] in (PLANAR, RIGID, ROTATION):
             turns += work.joint_charts[k, 3]
-    q, v, forces = np.empty(len(q0)), np.empty(nv), np.empty((nv, nv))
+    q, v = np.empty(len(q0)), np.empty(nv)
+    of_contacts, forces = np.empty((nv, nv)), np.empty((nv, 2 * nv))
     scratch, axes = np.empty((len(parent), 6)), np.empty((len(index), 3, 3))
     moved = np.empty((len(index), 3, nv))
-    shares = rows if inside and not unique else 0
+    shares = 0 if unique else rows
     by_state = np.zeros((stages, nv + rows + shares, 2 * nv))
     response, inverse = np.zeros((stages, nv, rows)), np.empty((stages, nv, nv))
     turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
     yields = False
     for i in range(stages):
         _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, free, q, v)
-        closed_slopes(work, parent, scratch, axes, moved, forces)
-        if inside and not work.callback_failed:
-            _add_forces(work, total)
+        closed_slopes(work, parent, scratch, axes, moved, of_contacts)
+        if not work.callback_failed:
+            _fill_acceleration(work, acceleration)
             work.callback_failed = not call(derive[0], derive[1])
-            _fill_smooth(work, smooth, by_state[i], inverse[i])
-        elif not free or invert_mass_matrix(work):
-            for r in range(nv):
-                assign(inverse[i, r], work.minverse[r])
-        _fill_closed(work, moved, inside, forces, by_state[i], inverse[i], response[i])
-        if inside:
-            _fill_friction(work, friction, inverse[i], by_friction[i])
-            _add_product(inverse[i], forces, by_state[i])
-            _fill_turning(work, v, turning[i])
-            if shares > 0:
-                yields |= _sticking_yields(work)
-                _fill_shares(work, parent, scratch, by_state[i])
+        if rows > 0 or invert_mass_matrix(work):  # else it is that of the forces
+            assign(inverse[i].ravel(), work.minverse.ravel())
+        _fill_smooth(work, smooth, of_contacts, forces)
+        _fill_closed(work, moved, True, forces, by_state[i], inverse[i], response[i])
+        _fill_friction(work, friction, inverse[i], by_friction[i])
+        add_product(inverse[i], forces, by_state[i, :nv])
+        _fill_turning(work, v, turning[i])
+        if shares > 0:
+            yields |= _sticking_yields(work)
+            _fill_shares(work, parent, scratch, by_state[i])
         if work.callback_failed:
             break
-    return by_state, response, inverse, by_friction, turning, moved, yields
+    return by_state, response, inverse, by_friction, turning, yields
+
+
+@declared(
+    *(SceneWorkspace, INTEGERS, FLOAT_ROWS, FLOATS, FLOATS, float, float, float, FLOAT_STACK, bool, bool),
+)
+@jit
+def constraints_at(work, parent, coefficients, q0, v0, start, h, t, ends, unique, free):
+    """Return v̇ and the constraints at a time t [s], at which the speed of slip may be zero.
+
+    Arguments are those of `slopes_along`.
+
+    Returns:
+        v̇ (nv,); its derivatives by the forces of the rows (nv, m); the rows of the velocities that vanish
+        (m, 2 nv); M⁻¹ (nv, nv); ∂(contact velocity)/∂q (k, 3, nv); and the result of `_at_bound`.
+    """
+    close(work, np.zeros((work.contacts, 2)))
+    nv, rows, contacts = len(v0), work.active_rows, len(work.active_index)
+    moved, axes, scratch = np.empty((contacts, 3, nv)), np.empty((contacts, 3, 3)), np.empty((len(parent), 6))
+    by_state, response = np.zeros((nv + rows, 2 * nv)), np.zeros((nv, rows))
+    inverse, acceleration, none = np.empty((nv, nv)), np.empty(nv), np.empty((0, 0))
+    _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, free, np.empty(len(q0)), np.empty(nv))
+    closed_slopes(work, parent, scratch, axes, moved, none)
+    _fill_acceleration(work, acceleration)
+    if rows > 0 or invert_mass_matrix(work):  # else it is that of the forces
+        assign(inverse.ravel(), work.minverse.ravel())
+    _fill_closed(work, moved, False, none, by_state, inverse, response)
+    return acceleration, response, by_state[nv:].copy(), inverse, moved, _at_bound(work, unique)
+
+
+@declared(SceneWorkspace, FLOATS, FLOAT_ROWS, float)
+@jit
+def gap_rows(work, acceleration, response, gravity):
+    """Return the rows of the constraints that are rates of gaps which remain closed, and which bear a load.
+
+    Args:
+        work: The workspace, with the forces last evaluated.
+        acceleration: (nv,) v̇.
+        response: (nv, m) derivatives of v̇ by the forces of the rows.
+        gravity: Acceleration of gravity [m/s²].
+
+    Returns:
+        (k,) numbers of the rows; (k,) whether its force moves joints by more than rounding errors of v̇.
+    """
+    gaps, count, row, size = np.empty(work.active_rows, dtype=np.int64), 0, 0, gravity
+    for k in range(len(work.active_mode)):
+        end = row + (1 if work.active_mode[k] == SLIP else 3)
+        for r in range(row if work.bilateral[work.active_index[k]] != 0 else end - 1, end):
+            gaps[count] = r
+            count += 1
+        row = end
+    for k in range(len(work.scalar_velocity)):
+        lower, upper = work.scalar_lower[k], work.scalar_upper[k]
+        friction = abs(upper if np.isinf(lower) else lower)  # may hold a joint instead of its limit
+        if np.isinf(lower) != np.isinf(upper) and (friction == 0.0 or abs(work.solution[row + k]) > friction):
+            gaps[count] = row + k
+            count += 1
+    for j in range(len(acceleration)):
+        size = max(size, work.joint_metres[j] * abs(acceleration[j]))
+    loaded = flags(count, False)
+    for a in range(count):
+        for j in range(len(response)):
+            rate = work.joint_metres[j] * response[j, gaps[a]] * work.solution[gaps[a]]
+            loaded[a] |= abs(rate) > COMPUTED * size
+    return gaps[:count], loaded
 
 
 @declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool))
@@ -147,6 +209,28 @@ def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique):
             x, y = work.contact_velocity[k, 0], work.contact_velocity[k, 1]
             speeds[i, k] = np.sqrt(x * x + y * y) if work.active_mode[k] == SLIP else 0.0
     return speeds
+
+
+@inlined
+def _at_bound(work, unique):
+    """Return whether friction of a sticking contact or joint is at its bound in the modes last evaluated.
+
+    If the forces are not `unique`, all of them must be at their bounds: others take over the load of one.
+    """
+    force, row, bounds, holds = work.solution, 0, 0, 0
+    for k in range(len(work.active_mode)):
+        if work.active_mode[k] == STICK:
+            bound = work.active_friction[k] * force[row + 2]
+            margin = bound - np.sqrt(force[row] ** 2 + force[row + 1] ** 2)
+            bounds += 1 if bound > 0.0 else 0
+            holds += 1 if abs(margin) > COMPUTED * bound > 0.0 else 0
+        row += 1 if work.active_mode[k] == SLIP else 3
+    for k in range(len(work.scalar_velocity)):
+        bound = work.scalar_upper[k]
+        if np.isfinite(work.scalar_lower[k]) and np.isfinite(bound):
+            bounds += 1 if bound > 0.0 else 0
+            holds += 1 if abs(bound - abs(force[row + k])) > COMPUTED * bound > 0.0 else 0
+    return holds < bounds if unique else bounds > 0 and holds == 0
 
 
 @inlined
@@ -169,39 +253,33 @@ def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, free, q, v)
 
 
 @inlined
-def _add_forces(work, total):
-    """Fill total (nv,) with all generalized forces at the state last evaluated."""
-    jacobian, force = work.contact_jacobian, work.contact_force
-    assign(total, work.tau)
-    for k in range(len(force)):
-        for d in range(3):
-            for j in range(len(total)):
-                total[j] += force[k, d] * jacobian[k, d, j]
-    for k in range(len(work.scalar_velocity)):
-        total[work.scalar_velocity[k]] += work.scalar_force[k]
+def _fill_acceleration(work, acceleration):
+    """Fill v̇ (nv,) at the state last evaluated, with the forces of the active set."""
+    assign(acceleration, work.acceleration)
+    for k in range(len(work.solution)):
+        add(acceleration, work.solution[k], work.force_response[k])
 
 
 @inlined
-def _fill_smooth(work, smooth, by_state, inverse):
-    """Fill M⁻¹ and the derivatives of v̇, including damping and drives, from `smooth`."""
-    damping, n = work.damping, work.nv
+def _fill_smooth(work, smooth, of_contacts, forces):
+    """Fill the derivatives of the generalized forces at constant v̇, including damping and drives."""
+    n = work.nv
     for i in range(n):
         for j in range(n):
-            inverse[i, j] = smooth[2, i, j]
-            by_state[i, j] = smooth[0, i, j]
-            by_state[i, n + j] = smooth[1, i, j] - inverse[i, j] * damping[j]
+            forces[i, j] = of_contacts[i, j] - smooth[0, i, j]
+            forces[i, n + j] = -smooth[1, i, j]
+        forces[i, n + i] -= work.damping[i]
     for j in work.drive_velocity:
         if work.drive_side[j] == 0:
-            for i in range(n):
-                by_state[i, j] -= inverse[i, j] * work.drive_stiffness[j]
-                by_state[i, n + j] -= inverse[i, j] * work.drive_damping[j]
+            forces[j, j] -= work.drive_stiffness[j]
+            forces[j, n + j] -= work.drive_damping[j]
 
 
 @inlined
 def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
     """Fill the rows of the vanishing velocities and the response of v̇ to their forces.
 
-    If `moving`, terms by the change of slip directions are added to `forces`, ∂(Jᵀf)/∂q, and to ∂v̇/∂v.
+    If `moving`, terms by the change of slip directions are added to `forces`, see `_fill_smooth`.
     """
     jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
     row, nv = work.nv, work.nv
@@ -234,10 +312,7 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
         for i in range(nv):
             for j in range(nv):
                 forces[i, j] += push[i] * turn[j]
-        for i in range(nv):
-            total = dot(inverse[i], push)
-            for j in range(nv):
-                by_state[i, nv + j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
+                forces[i, nv + j] += push[i] * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
     for k in range(len(work.scalar_velocity)):
         j = work.scalar_velocity[k]
         held, metres = work.solution[row - nv], work.joint_metres[j]
@@ -299,8 +374,10 @@ def _sticking_yields(work):
 @inlined
 def _respond(inverse, push, response, row):
     """Fill column `row` of the response (nv, m) with v̇ by a unit force along `push` (nv,)."""
+    rate = np.empty(len(push))
+    apply_symmetric(inverse, push, rate)
     for i in range(len(push)):
-        response[i, row] = dot(inverse[i], push)
+        response[i, row] = rate[i]
 
 
 @inlined
@@ -315,16 +392,6 @@ def _fill_friction(work, friction, inverse, by_friction):
                     for j in range(len(inverse)):
                         along = s1 * jacobian[k, 0, j] + s2 * jacobian[k, 1, j]
                         by_friction[i, column] -= force[k, 2] * inverse[i, j] * along
-
-
-@inlined
-def _add_product(inverse, forces, out):
-    """Add M⁻¹ · forces to out (nv, …), for a sparse matrix forces (nv, nv)."""
-    for j in range(len(forces)):
-        for k in range(len(forces)):
-            if forces[j, k] != 0.0:
-                for i in range(len(forces)):
-                    out[i, k] += inverse[i, j] * forces[j, k]
 
 
 @inlined
