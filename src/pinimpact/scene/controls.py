@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..arrays import Array, Bools, Integers
-from ..checks import finite_array, float_array, real_numbers
+from ..checks import finite_array, float_array, in_short, real_numbers
 from ..display import short_repr
 from ..errors import InputError, SimulationError
 from ..robot.names import joint_of_velocity
@@ -31,9 +31,17 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
     """
     nv = len(v)
     try:
-        tau = real_numbers("tau", control(t, q, v), f"an array of {nv} real numbers")
+        returned = control(t, q, v)
     except Exception as error:
         raise SimulationError(f"control: {type(error).__name__} at t = {t:.6g} s: {error}") from error
+    try:
+        tau = real_numbers("control", returned, f"an array of {nv} real numbers")
+    except InputError as error:
+        raise SimulationError(
+            f"control: {in_short(returned)} returned at t = {t:.6g} s; an array of {nv} real numbers is "
+            "expected",
+            value=returned,
+        ) from error
     if tau.shape != (nv,):
         raise SimulationError(
             f"control: an array of shape {tau.shape} returned at t = {t:.6g} s; ({nv},) expected", value=tau

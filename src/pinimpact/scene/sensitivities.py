@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array, Integers
-from ..checks import as_tuple, in_short
+from ..checks import as_tuple, in_short, near_matches
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ._kernels.contact_forces import SLIP, STICK
@@ -90,13 +90,15 @@ def parse(scene: Scene, names: Any) -> tuple[str, ...]:
         if name != "state" and kind not in ("friction", "restitution"):
             raise InputError(
                 f'sensitivities: {in_short(name)} given; "state", "friction:CONTACT" or '
-                '"restitution:CONTACT" expected',
+                '"restitution:CONTACT" with the name of a contact expected',
                 value=name,
             )
         found = next((one for one in scene.contacts if one.label == label), None)
         if name != "state" and found is None:
             raise UnknownNameError(
-                f"sensitivities: {name!r} given, but the scene has no contact {label!r}", value=name
+                f"sensitivities: {name!r} given, but the scene has no contact {label!r}; "
+                f"{near_matches(label, [one.label for one in scene.contacts])}",
+                value=name,
             )
         if found is not None and found.pair is not None:
             raise InputError(
