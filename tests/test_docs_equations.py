@@ -121,7 +121,7 @@ NUMBERS = [
     (coulomb_problem.QUICK, 0.2, "reduces the change of the forces to no less than a fifth"),
     (1.0 / coulomb_problem.FINER, 10.0, "and multiplied by ten where Newton's method fails"),
     (tolerances.SINGULAR_STILL, 1e-7, "is decided at $10^{-7}$ of its largest pivot"),
-    (tolerances.NEGLIGIBLE, 1e-9, "a residual above $10^{-9}$ of its terms"),
+    (tolerances.NEGLIGIBLE, 1e-9, "a residual above $10^{-9}$"),
     (tolerances.FINEST, 1e-13, "else at $10^{-13}$"),
     (slip.CERTAIN, 10.0, r"\le 10\,\eta"),
     (instant.STICK_FRACTION, 0.1, "the sticking speed (a tenth of the resting speed)"),

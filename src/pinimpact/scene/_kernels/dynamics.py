@@ -12,13 +12,14 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign, filled
 from ..._numeric.products import dot
 from ..._numeric.semidefinite import solve_definite
+from ..._numeric.tolerances import LITTLE
 from ...geometry._kernels.constants import ABSENT, KIND, RADIUS
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .compliant_forces import compliant_forces
 from .drives import drive
-from .tolerances import NEGLIGIBLE, ROUNDING, SINGULAR_STILL, UNDECIDED
+from .tolerances import NEGLIGIBLE, SINGULAR_STILL, UNDECIDED
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
@@ -271,25 +272,22 @@ def solve_equations(work):
 
 
 @inlined
-def misses(work, required, acceleration):
-    """Return whether rows times v̇ (nv,) differ from the `required` accelerations by more than rounding."""
-    found = False
-    for a in range(len(required)):
-        row, total, size = work.equation_rows[a], 0.0, max(abs(required[a]), work.gravity)
-        for j in range(len(row)):
-            part = row[j] * acceleration[j]
-            total += part
-            size = max(size, abs(part))
-        found |= abs(required[a] - total) > ROUNDING * size
-    return found
+def cancel(work):
+    """Return whether the effect of a force is so large that rounding errors of the sum matter."""
+    largest, size = 0.0, work.gravity
+    for a in range(len(work.target)):
+        largest = max(largest, abs(work.system[a, a] * work.solution[a]))
+        size = max(size, abs(work.target[a]))
+    return LITTLE * largest > size
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS)
 @external
 def refine(work, required, acceleration):
-    """Correct v̇ (nv,) and the forces by a solution of (9.3) for what the `required` accelerations miss.
+    """Correct v̇ (nv,) and the forces by the solution of (9.3) for what rows times v̇ miss.
 
     Large forces on a light body, as between two heavy ones, nearly cancel: v̇ has their rounding errors.
+    `required` (m,) is −Ġv, the accelerations that the rows require.
     """
     target, solution, unique = work.target, work.solution, work.forces_unique
     before, forces = target.copy(), solution.copy()
@@ -321,17 +319,18 @@ def add_forces(work, out):
     if not math.isfinite(total):  # a stage of too long a step, which will be rejected
         filled(out, math.nan)
         return
-    required, friction = np.empty(len(target)), contact_forces.slips_with_friction(work)
-    for a in range(len(target)):
-        required[a] = target[a] + dot(work.equation_rows[a], out[:n])
+    friction = contact_forces.slips_with_friction(work)
     orientation, shared = solve_equations(work)
     if orientation == 0:
         work.forces_unique = not shared and not friction
+    required = np.empty(len(target) if cancel(work) else 0)
+    for a in range(len(required)):
+        required[a] = target[a] + dot(work.equation_rows[a], work.acceleration)
     margin = contact_forces.set_forces(work, out[n + 2 :])
     if margin < 0.0 and shared and compliant_forces(work):
         margin = contact_forces.set_forces(work, out[n + 2 :])
     contact_forces.accelerate(work, out[:n])
-    if misses(work, required, out[:n]):
+    if len(required) > 0:
         refine(work, required, out[:n])
         margin = contact_forces.set_forces(work, out[n + 2 :])
     # without friction the determinant is positive: a negative one shows that slip has passed a singularity
