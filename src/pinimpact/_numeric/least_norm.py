@@ -16,6 +16,7 @@ from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .loops import assign, filled
 from .products import add, dot
+from .tolerances import TINY
 
 
 @inlined
@@ -53,13 +54,14 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
 
     A is overwritten with T, whose size is the rank, and to its right the reflection vectors of Z, whose
     heads are in factor (min(m, n),); order (n,) is overwritten with the column order Π. Pivots up to
-    `rank_tolerance` times the largest are taken as zero. Returns the rank.
+    `rank_tolerance` times the largest are taken as zero. Returns the rank, and, relative to the largest
+    pivot, the last one and the first one that is taken as zero.
     """
     m, n = matrix.shape
     r = matrix
     for j in range(n):
         order[j] = j
-    rank, largest, sums = 0, 0.0, np.empty(n)
+    rank, largest, kept, dropped, sums = 0, 0.0, 0.0, 0.0, np.empty(n)
     for k in range(min(m, n)):
         answer_signals()
         # recomputed at every step: updated norms would be inaccurate where the rank is decided
@@ -71,7 +73,9 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
         pivot = math.sqrt(longest)
         largest = max(largest, pivot)
         if not pivot > rank_tolerance * largest:
+            dropped = pivot
             break
+        kept = pivot
         for i in range(m):
             r[i, k], r[i, chosen] = r[i, chosen], r[i, k]
         order[k], order[chosen] = order[chosen], order[k]
@@ -102,7 +106,8 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
             total = scale * (r[i, k] * head + dot(r[i, rank:], r[k, rank:]))
             r[i, k] += total * head
             add(r[i, rank:], total, r[k, rank:])
-    return rank
+    largest = max(largest, TINY)
+    return rank, kept / largest, dropped / largest
 
 
 @inlined
@@ -121,11 +126,14 @@ def rotate_back(matrix, rank, order, factor, y, x):
 @declared(FLOAT_ROWS, FLOAT_ROWS, float, FLOAT_ROWS, FLOAT_ROWS)
 @external
 def least_norms(matrix, rights, rank_tolerance, found, null):
-    """Fill found (k, n) with solutions of least norm for right-hand sides (k, m); see `least_norm`."""
+    """Fill found (k, n) with solutions of least norm for right-hand sides (k, m); see `least_norm`.
+
+    Returns the results of `decompose`.
+    """
     m, n = matrix.shape
     r, sides, y = matrix.copy(), rights.copy(), np.zeros(n)
     order, factor = np.empty(n, dtype=np.int64), np.empty(min(m, n))
-    rank = decompose(r, sides, rank_tolerance, order, factor)
+    rank, kept, dropped = decompose(r, sides, rank_tolerance, order, factor)
     for c in range(len(sides)):
         filled(y, 0.0)
         for k in range(rank - 1, -1, -1):
@@ -135,7 +143,7 @@ def least_norms(matrix, rights, rank_tolerance, found, null):
         filled(y, 0.0)
         y[rank + k] = 1.0
         rotate_back(r, rank, order, factor, y, null[k])
-    return rank
+    return rank, kept, dropped
 
 
 @declared(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
@@ -148,6 +156,6 @@ def least_norm(matrix, right, rank_tolerance, x, null):
     """
     rights, found = np.empty((1, len(right))), np.empty((1, len(x)))
     assign(rights[0], right)
-    rank = least_norms(matrix, rights, rank_tolerance, found, null)
+    rank, _, _ = least_norms(matrix, rights, rank_tolerance, found, null)
     assign(x, found[0])
     return rank

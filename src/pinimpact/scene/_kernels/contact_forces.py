@@ -18,6 +18,7 @@ from ..._numeric.loops import assign, filled, largest_diagonal
 from ..._numeric.products import add, apply_symmetric, dot, products
 from ..._numeric.tolerances import NOISE, ROUNDOFF, TINY
 from .tolerances import (
+    AMBIGUOUS,
     FINEST,
     LEAST_SIZE,
     NEGLIGIBLE,
@@ -219,7 +220,7 @@ def solve_redundant(work, system, rights, found, null):
         null: (m, m), or (0, m) if not needed, is overwritten with unit vectors that span the null space.
 
     Returns:
-        The rank.
+        The rank, the last pivot and the first one that is taken as zero, see `least_norm.decompose`.
     """
     size, largest, d, scaled, sides = len(system), 0.0, np.empty(len(system)), system.copy(), rights.copy()
     for a in range(size):  # the diagonal entry is larger for rows that no force moves
@@ -232,7 +233,7 @@ def solve_redundant(work, system, rights, found, null):
             scaled[a, b] *= d[a] * d[b]
         for side in sides:
             side[a] *= d[a]
-    rank = least_norms(scaled, sides, work.rank_tolerance, found, null)
+    rank, kept, dropped = least_norms(scaled, sides, work.rank_tolerance, found, null)
     for x in found:
         for a in range(size):
             x[a] *= d[a]
@@ -242,7 +243,7 @@ def solve_redundant(work, system, rights, found, null):
         length = math.sqrt(dot(null[k], null[k]))
         for a in range(size):
             null[k, a] /= length
-    return rank
+    return rank, kept, dropped
 
 
 @declared(SceneWorkspace, FLOAT_ROWS)
@@ -284,22 +285,27 @@ def limit_of_compliances(work):
     decides = work.rank_tolerance == UNDECIDED
     if decides:
         work.rank_tolerance = SINGULAR_STILL
-    free = size - solve_redundant(work, system, rights, found, right_null)
+    rank, kept, dropped = solve_redundant(work, system, rights, found, right_null)
+    while decides and not slips_with_friction(work) and closest(work.rank_tolerance, kept, dropped) > FINEST:
+        work.rank_tolerance = closest(work.rank_tolerance, kept, dropped)
+        rank, kept, dropped = solve_redundant(work, system, rights, found, right_null)
+    free, decided = size - rank, work.rank_tolerance
     residual = relative_residual(work, found[0])
     if decides and residual > NEGLIGIBLE:
         # keep rows of small inverse inertia too, although their forces may be large
         work.rank_tolerance = FINEST
         finer, null = np.empty((1, size)), np.empty((size, size))
-        count = size - solve_redundant(work, system, rights, finer, null)
+        rank, _, _ = solve_redundant(work, system, rights, finer, null)
         if relative_residual(work, finer[0]) < 0.1 * residual:
-            free, found, right_null = count, finer, null
+            free, found, right_null = size - rank, finer, null
         else:
-            work.rank_tolerance = SINGULAR_STILL
+            work.rank_tolerance = decided
     assign(x, found[0])
     if free == 0:
         return True
     if slips_with_friction(work):
-        if free != size - solve_redundant(work, system.T.copy(), none, none, left_null):
+        rank, _, _ = solve_redundant(work, system.T.copy(), none, none, left_null)
+        if free != size - rank:
             return False
     else:
         left_null = right_null
@@ -312,6 +318,17 @@ def limit_of_compliances(work):
         for a in range(free):
             add(x, part[a], right_null[a])
     return False
+
+
+@inlined
+def closest(tolerance, kept, dropped):
+    """Return a pivot tolerance below a pivot close to the present one, or 0 if there is none. (11.4)
+
+    Which pivots are above it would depend on rounding, by the order of equal ones, and alternate in a motion.
+    """
+    if dropped > AMBIGUOUS * tolerance:
+        return AMBIGUOUS * dropped
+    return AMBIGUOUS * kept if AMBIGUOUS * kept < tolerance else 0.0
 
 
 @inlined
