@@ -324,7 +324,7 @@ def limit_of_compliances(work):
 def closest(tolerance, kept, dropped):
     """Return a pivot tolerance below a pivot close to the present one, or 0 if there is none. (11.4)
 
-    Which pivots are above it would depend on rounding, by the order of equal ones, and alternate in a motion.
+    Whether that pivot exceeds it would depend on the order of equal rows, which rounding decides.
     """
     if dropped > AMBIGUOUS * tolerance:
         return AMBIGUOUS * dropped

@@ -41,7 +41,7 @@ within 10⁻⁴ rad of being stretched. Rounding is at 10⁻¹⁵."""
 
 AMBIGUOUS = 0.1
 """Ratio of a pivot to `SINGULAR_STILL`, or its inverse, above which the tolerance is lowered below the pivot:
-the order in which equal rows are eliminated changes pivots by factors of this size."""
+the order in which equal rows are eliminated changes its size by factors like this."""
 
 UNDECIDED = 0.0
 """The same before it has been decided."""
