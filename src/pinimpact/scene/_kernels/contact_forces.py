@@ -286,8 +286,9 @@ def limit_of_compliances(work):
     if decides:
         work.rank_tolerance = SINGULAR_STILL
     rank, kept, dropped = solve_redundant(work, system, rights, found, right_null)
-    while decides and not slips_with_friction(work) and closest(work.rank_tolerance, kept, dropped) > FINEST:
-        work.rank_tolerance = closest(work.rank_tolerance, kept, dropped)
+    symmetric = not slips_with_friction(work)
+    while decides and symmetric and below_close_pivot(work.rank_tolerance, kept, dropped) > FINEST:
+        work.rank_tolerance = below_close_pivot(work.rank_tolerance, kept, dropped)
         rank, kept, dropped = solve_redundant(work, system, rights, found, right_null)
     free, decided = size - rank, work.rank_tolerance
     residual = relative_residual(work, found[0])
@@ -303,7 +304,7 @@ def limit_of_compliances(work):
     assign(x, found[0])
     if free == 0:
         return True
-    if slips_with_friction(work):
+    if not symmetric:
         rank, _, _ = solve_redundant(work, system.T.copy(), none, none, left_null)
         if free != size - rank:
             return False
@@ -321,7 +322,7 @@ def limit_of_compliances(work):
 
 
 @inlined
-def closest(tolerance, kept, dropped):
+def below_close_pivot(tolerance, kept, dropped):
     """Return a pivot tolerance below a pivot close to the present one, or 0 if there is none. (11.4)
 
     Whether that pivot exceeds it would depend on the order of equal rows, which rounding decides.
