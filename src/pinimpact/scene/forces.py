@@ -22,10 +22,6 @@ OF_CONTACTS = 8
 """Number of fields of `StepForces` that have a row for each contact."""
 
 
-CONTROL = 3
-"""Index of `control` in a `ClosedSet`."""
-
-
 class ClosedSet(NamedTuple):
     """The active contacts of a smooth motion, and all else beside the state that determines their forces.
 
@@ -56,7 +52,7 @@ class ClosedSet(NamedTuple):
     def under(self, work: SceneWorkspace) -> ClosedSet:
         """Return this set under the present force of the control."""
         control, speed = work.control_force.copy(), work.direction_speed
-        return ClosedSet._make((*self[:CONTROL], control, self.constants, speed, *self[CONTROL + 3 :]))
+        return self._replace(control=control, direction_speed=speed)
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:

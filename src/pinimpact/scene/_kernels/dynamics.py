@@ -319,10 +319,9 @@ def add_forces(work, out):
     if not math.isfinite(total):  # a stage of too long a step, which will be rejected
         filled(out, math.nan)
         return
-    friction = contact_forces.slips_with_friction(work)
     orientation, shared = solve_equations(work)
     if orientation == 0:
-        work.forces_unique = not shared and not friction
+        work.forces_unique = not (shared or contact_forces.slips_with_friction(work))
     required = np.empty(len(target) if cancel(work) else 0)
     for a in range(len(required)):
         required[a] = target[a] + dot(work.equation_rows[a], work.acceleration)
