@@ -24,9 +24,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Any, TypeVar
 
 import numba
+from numba.types import unliteral
 
 from . import plain
 from .declared import Job, declared_types, jobs, kernel_of
@@ -124,7 +126,14 @@ def _cached(function: F, pipeline: Any, **options: Any) -> F:
     )
     if hasattr(compiled, "py_func"):
         compiled._cache, compiled.is_bitcode = cache.KernelCache(compiled), pipeline is BitcodeCompiler
+        if pipeline is KernelCompiler:
+            compiled.get_call_template = partial(_type_call, compiled.get_call_template)
     return compiled
+
+
+def _type_call(typed: Callable[..., Any], arguments: Sequence[Any], named: dict[str, Any]) -> Any:
+    """Type a call of a kernel by numba's method, with literals as numbers: their values would be types."""
+    return typed(tuple(map(unliteral, arguments)), named)
 
 
 def compile_all(*calls: tuple[Any, ...]) -> None:

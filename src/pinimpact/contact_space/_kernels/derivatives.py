@@ -9,6 +9,7 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import always_inlined, external, inlined, released
+from ..._numeric.loops import assign
 from ..._numeric.tolerances import TINY
 from . import codes as code
 from .batch import asymmetry, write_result
@@ -259,7 +260,7 @@ def _join(moves, rows):
     i = left = 0
     while i < rows:
         if left < i:
-            moves[left, :] = moves[i, :]
+            assign(moves[left], moves[i])
         move, follower, speed = moves[left], moves[i + 1], moves[i, 9]
         turns = move[0] == code.IN_SLIP and move[12] == 0.0 and move[6] == code.NO_EVENT and i + 1 < rows
         if turns and follower[0] == code.IN_SLIP and follower[12] == 0.0:
@@ -276,7 +277,7 @@ def _join(moves, rows):
                 i += 1
         i, left = i + 1, left + 1
     if left < i:
-        moves[left, :] = moves[i, :]
+        assign(moves[left], moves[i])
     return left
 
 

@@ -415,12 +415,14 @@ def midpoint_step(work, t, h, q, v, strikes, system, rows, begin, pushed, found)
         The residual of Coulomb's law, see `step_impulses`, and the results of `close_gaps`.
     """
     first, before = begin.copy(), pushed.copy()
-    result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, True)
-    found.bent[0] = work.callback_failed or not adds_energy(h, system, rows, v, pushed, found)
-    if not found.bent[0]:
-        assign(begin, first)
-        assign(pushed, before)
-        result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, False)
+    for bent in (True, False):
+        result = attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
+        found.bent[0] = bent and (work.callback_failed or not adds_energy(h, system, rows, v, pushed, found))
+        if found.bent[0]:
+            break
+        if bent:
+            assign(begin, first)
+            assign(pushed, before)
     for c in range(len(v)):
         if found.struck[c]:  # impulses of impacts do not predict those of the next step
             pushed[c] = 0.0

@@ -53,11 +53,14 @@ def replace_struck(rows, found, begin, change, others):
     """
     impulse, course, own_begin, own_change = others
     assign(found.tried, found.impulse)
-    found.tried_course[:] = found.course
+    for i in range(len(course)):
+        for j in range(len(course[i])):
+            assign(found.tried_course[i, j], found.course[i, j])
     for a in range(len(impulse)):
         if rows.counts[a] > 0 and found.struck[rows.columns[a, 0]]:
             found.impulse[a] = impulse[a]
-            found.course[:, :, a] = course[:, :, a]
+            for i in range(len(course)):
+                assign(found.course[i, :, a], course[i, :, a])
     for c in range(len(begin)):
         if found.struck[c]:
             begin[c], change[c] = own_begin[c], own_change[c]
