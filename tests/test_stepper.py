@@ -187,10 +187,28 @@ def test_dry_friction_holds_then_yields_at_change_of_torque():
     assert stepper.v[0] == 0.0
 
 
+def copy_with_used_integrator(stepper):
+    """Return a copy with the integrator of one that has continued and no longer exists."""
+    other = stepper.copy()
+    integrator, force = other._integrator, np.full(len(stepper.v), 0.1)
+    for _ in range(20):
+        other.step(force, 0.01)
+    trajectory = other.trajectory
+    positions, within = trajectory.q.copy(), trajectory.at(0.999 * other.t)
+    del other
+    again = stepper.copy()
+    assert again._integrator is integrator
+    again.copy().step(force, 0.01)
+    assert np.array_equal(trajectory.q, positions)
+    assert np.array_equal(np.concatenate(trajectory.at(0.999 * trajectory.t[-1])), np.concatenate(within))
+    return again
+
+
 COPIES = {
     "copy": Stepper.copy,
     "copy.copy": copy.copy,
     "copy.deepcopy": copy.deepcopy,
+    "copy with used integrator": copy_with_used_integrator,
     "pickle": lambda stepper: pickle.loads(pickle.dumps(stepper)),
 }
 

@@ -130,10 +130,21 @@ class Integrator:
         apart = None if directions is None else directions.copy()
         return self.state.copy(memory=(self.dynamics.values(), apart))
 
-    def copy(self) -> Integrator:
-        """Return an independent motion in the same state."""
-        make, arguments = self.__reduce__()
-        return make(*arguments)
+    def set_value(self, value: HybridState) -> None:
+        """Restore the result of `value`, of this motion or another one of the same scene."""
+        self.state.assign(value.copy(memory=None))
+        self._prepare()
+        self._continue_with(value)
+
+    def copy(self, spare: Integrator | None = None) -> Integrator:
+        """Return an independent motion in the same state; `spare`, one of the same scene, is overwritten."""
+        if spare is None:
+            make, arguments = self.__reduce__()
+            return make(*arguments)
+        spare.record.restore(self.record.values())
+        spare.set_value(self.value())
+        spare.reached = spare.mark()
+        return spare
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the scene, the state and the record; workspaces and addresses are rebuilt."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, finalize
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,10 +34,15 @@ def _restored(integrator: Integrator) -> Iterator[None]:
     finally:
         record.cut(mark)
         record.bound_reached, record.stepping_warned = warned
-        integrator.state.assign(value.copy(memory=None))
-        integrator._prepare()
-        integrator._continue_with(value)
+        integrator.set_value(value)
         integrator.reached = reached
+
+
+class _Spares(list[Integrator]):
+    """Integrators of copies that no longer exist, for new copies: a new integrator takes a millisecond."""
+
+    def __reduce__(self) -> tuple[type[_Spares], tuple[()]]:
+        return _Spares, ()
 
 
 class Stepper:
@@ -85,6 +90,7 @@ class Stepper:
             )
         self._scene = scene
         self._scheme, self._options = scheme, Options(rtol, atol, max_step, max_impacts, dt)
+        self._spares = _Spares()
         self.reset(q0, v0)
 
     def reset(self, q0: ArrayLike, v0: ArrayLike) -> None:
@@ -98,8 +104,12 @@ class Stepper:
 
     def copy(self) -> Stepper:
         """Return an independent stepper in the same state."""
-        twin = object.__new__(Stepper)
-        vars(twin).update(vars(self) | {"_integrator": self._integrator.copy()})
+        twin, spare = object.__new__(Stepper), None
+        with suppress(IndexError):
+            spare = self._spares.pop()
+        integrator = self._integrator.copy(spare)
+        vars(twin).update(vars(self) | {"_integrator": integrator})
+        finalize(twin, self._spares.append, integrator).atexit = False
         return twin
 
     __copy__ = copy
