@@ -29,7 +29,7 @@ class DenseStep:
         start, end: Times [s]; `end` is before start + h if an event cut the step.
         h: Size of the step that was computed [s].
         q, v, w: (nq,) configuration, (nv,) velocity and (`WORKS`,) work [J] at its start.
-        coefficients: (7, 2 nv + `WORKS`) dense output of (ξ, v, w).
+        coefficients: (k, 2 nv + `WORKS`) dense output of (ξ, v, w), of at most 7 terms.
         joints: Table of the configuration space.
         closed: The active contacts and their forces, `forces.ClosedSet` or `forces.StepForces`; None: none.
         directions: (2, n, 2) directions of slip at the start and at the end, or None if nothing slips.
@@ -60,9 +60,9 @@ class DenseStep:
 
     def acceleration(self, t: float) -> Array:
         """Return v̇ (nv,) of the dense output at a time [s] within the step."""
-        powers = ((t - self.start) / self.h) ** np.arange(len(SLOPES))
-        n = len(self.v)
-        return np.asarray(SLOPES @ powers @ self.coefficients[:, n : 2 * n] / self.h)
+        n, terms = len(self.v), len(self.coefficients)
+        powers = ((t - self.start) / self.h) ** np.arange(terms)
+        return np.asarray(SLOPES[:terms, :terms] @ powers @ self.coefficients[:, n : 2 * n] / self.h)
 
     def work_at(self, t: float) -> Array:
         """Return the work (`WORKS`,) [J] at a time [s] within the step."""

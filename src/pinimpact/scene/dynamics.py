@@ -36,6 +36,7 @@ from .dense_step import WORKS
 from .islands import tree_masses
 from .layout import SceneLayout
 from .scene import Scene
+from .step_memory import StepMemory
 
 STIFF = 1e3
 """Decay rate of damped joints [1/s] above which steps may be implicit in the damping."""
@@ -70,6 +71,7 @@ class SceneDynamics:
         contacts: All contacts of the scene, held ones last.
         limits: The joint limits.
         work: The workspace of the kernels.
+        step_memory: The part of its memory that describes a completed step.
         driven: Whether there are drives.
     """
 
@@ -124,6 +126,7 @@ class SceneDynamics:
         """Return the workspace of the kernels, of which the last `held` contacts are bilateral."""
         contacts, limits, nv = self.contacts, self.limits, model.nv
         charts, tables = layout.joint_charts, layout.tables(tuple(contacts))
+        self.step_memory = StepMemory(model.nq, nv)
         count, scalars = len(contacts), len(limits) + int(np.count_nonzero(dry))
         closable = min(count, held + CLOSABLE)
         calls = np.zeros(CALLS, dtype=np.int64)
@@ -147,6 +150,7 @@ class SceneDynamics:
             },
             {
                 "calls": calls,
+                **self.step_memory.arrays(self.step_memory.values)._asdict(),
                 "q": robot.q,
                 "v": robot.v,
                 "tau": robot.tau,
@@ -198,12 +202,13 @@ class SceneDynamics:
         """Return the values of the workspace, and of Pinocchio's arrays if they are used again."""
         work = self.work
         evaluated = (work.minverse.copy(), work.acceleration.copy()) if work.evaluated else None
-        return work.values(), evaluated
+        return work.values(), self.step_memory.values.copy(), evaluated
 
     def set_values(self, values: tuple[Any, ...]) -> None:
         """Restore the result of `values`."""
-        of_workspace, evaluated = values
+        of_workspace, of_step, evaluated = values
         self.work.set_values(of_workspace)
+        self.step_memory.values[:] = of_step
         if evaluated is not None:
             self.work.minverse[:], self.work.acceleration[:] = evaluated
 

@@ -49,10 +49,9 @@ class ClosedSet(NamedTuple):
     joints: Integers
     swapped: Integers
 
-    def under(self, work: SceneWorkspace) -> ClosedSet:
-        """Return this set under the present force of the control."""
-        control, speed = work.control_force.copy(), work.direction_speed
-        return self._replace(control=control, direction_speed=speed)
+    def under(self, control: Array, direction_speed: float) -> ClosedSet:
+        """Return this set under another force of the control."""
+        return self._replace(control=control, direction_speed=direction_speed)
 
     @classmethod
     def of(cls, work: SceneWorkspace, swapped: Integers) -> ClosedSet | None:

@@ -20,7 +20,7 @@ from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
-from .dense_step import FRICTION, DenseStep
+from .dense_step import FRICTION, WORKS, DenseStep
 from .event_watch import EventWatch, Interruption
 from .events import as_events
 from .forces import ClosedSet, EvaluatedForces
@@ -187,7 +187,8 @@ class Integrator:
             begun = None if tau is None else self.hold_force(tau, stop - state.t)
             self.progress.mark()
             while state.t < stop and state.ended_by is None:
-                state.length = self._step(state.length, stop, min(1.0, until), begun)
+                if begun is None or not self._completes(begun, stop):
+                    state.length = self._step(state.length, stop, min(1.0, until), begun)
                 self.reached, begun = self.mark(), None
                 if report is not None:
                     report(state.t, until)
@@ -285,7 +286,9 @@ class Integrator:
         outcome = begun or self.progress.stalled(scale) or self.smooth.compute(h, stop - t)
         if isinstance(outcome, IrregularMotionError):
             return self._resolve_jam_or_raise(outcome)
-        step, natural, time = outcome
+        if self._completes(outcome, stop):
+            return state.length
+        step, natural, time, *_ = outcome
         state.steps += 1
         regular = work.regular
         if not regular:
@@ -309,21 +312,30 @@ class Integrator:
         if time <= step.end:
             self._end_at_event(step, time, arriving)
             return natural
-        state.cut_short = step.h == stop - t
-        self._complete(step, stop if state.cut_short else step.end, regular)
-        longer = step.h * work.growth
-        return max(longer, natural) if state.cut_short else longer
-
-    def _complete(self, step: DenseStep, end: float, regular: bool) -> None:
-        """Accept a step without an event: advance the state to its end and correct constraint drift."""
-        state, work = self.state, self.work
-        state.works = step.work_at(step.end)
-        state.t = step.end = end
-        state.q, state.v = work.q0.copy(), work.v0.copy()
-        state.bounce = math.inf
+        self._advance_over(outcome, stop)
         if not regular:
             self._check_end()
         self._sample()
+        return state.length
+
+    def _completes(self, outcome: Outcome, stop: float) -> bool:
+        """Accept a step in which nothing happens, and return whether it was one; see `_step`."""
+        step, _, time, *_ = outcome
+        if time <= step.end or not self.work.regular or self.shapes or self.events:
+            return False
+        self.state.steps += 1
+        self.record.dense_steps.append(step)
+        self._advance_over(outcome, stop)
+        self._sample()
+        return True
+
+    def _advance_over(self, outcome: Outcome, stop: float) -> None:
+        """Advance the state to the end of a step without an event, and set the step size to try next."""
+        state, (step, natural, _, state.q, state.v) = self.state, outcome
+        state.length, state.cut_short = step.h * self.work.growth, step.h == stop - state.t
+        if state.cut_short:
+            state.length, step.end = max(state.length, natural), stop
+        state.t, state.works, state.bounce = step.end, step.w + step.coefficients[0, -WORKS:], math.inf
 
     def _check_end(self) -> None:
         """Choose modes again if forces are beyond their bounds after a step; correct constraint drift."""

@@ -36,6 +36,7 @@ class Recorder:
         dense_steps, impacts, events, notes: As in the trajectory.
         samples: Time, q, v, work and impact energy of each sample.
         modes: The contact modes.
+        lists: All lists of the record, of which the last one has the intervals of modes that have ended.
         bound_reached, stepping_warned: Whether a `BoundReachedWarning`, a `SteppedWarning` has been issued.
         keeps_steps: Whether time steps keep the data from which their derivatives are computed.
     """
@@ -48,12 +49,9 @@ class Recorder:
         self.events: list[EventRecord] = []
         self.notes: list[Note] = []
         self.modes = modes
+        others: list[list[Any]] = [self.impacts, self.events, self.notes, modes.ended]
+        self.lists: tuple[list[Any], ...] = (self.dense_steps, self.samples, *others)
         self.bound_reached = self.stepping_warned = self.keeps_steps = False
-
-    @property
-    def lists(self) -> tuple[list[Any], ...]:
-        """The lists of the record: steps, samples, impacts, events, notes, mode intervals that have ended."""
-        return self.dense_steps, self.samples, self.impacts, self.events, self.notes, self.modes.ended
 
     def note_once(self, t: float, text: str) -> None:
         """Add a note at time t [s] unless the record has it."""

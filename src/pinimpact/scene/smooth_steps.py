@@ -14,9 +14,11 @@ from ._kernels.smooth_motion import BEYOND
 from .dense_step import DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
+from .step_memory import StepArrays
 
-Outcome = tuple[DenseStep, float, float]
-"""A step, the step size to try next if an event cuts it [s], and the time of its first event [s] or ∞."""
+Outcome = tuple[DenseStep, float, float, Array, Array]
+"""A step, the step size to try next if an event cuts it [s], the time of its first event [s] or ∞, and the
+configuration (nq,) and velocity (nv,) where the next step starts if there is no event."""
 
 HIGH_ORDER = 10
 """Number of steps before a lower order is tried again after its error was too large."""
@@ -45,6 +47,7 @@ class SmoothSteps:
 
     def __init__(self, instant: Instant, longest: float, jumps: bool) -> None:
         self._dynamics, self._rims = instant.dynamics, instant.rims
+        self._charts = self._dynamics.work.joint_charts
         self._state: HybridState = instant.state
         self._longest, self._jumps = longest, jumps
 
@@ -69,11 +72,11 @@ class SmoothSteps:
             error = math.nan
         if math.isnan(error):
             return False, None
-        state.bounce = math.inf
-        state.closed = state.closed and state.closed.under(work)
+        state.bounce, memory = math.inf, self._dynamics.step_memory.copy(order)
+        state.closed = state.closed and state.closed.under(memory.control_force, work.direction_speed)
         if error > LARGEST[order] or time < state.t:
             return True, None
-        return True, self._outcome((error, time, directions), left, state.length)
+        return True, self._outcome((error, time, directions), left, state.length, memory)
 
     def compute(self, h: float, left: float) -> Outcome | IrregularMotionError:
         """Compute a step from the present state whose error is within the tolerances.
@@ -119,7 +122,8 @@ class SmoothSteps:
                         natural = h = min(h, stiff_drives.STIFF / work.drive_rate)
                     previous_error = error
             elif time >= t:
-                return self._outcome(found, trial, natural)
+                memory = self._dynamics.step_memory.copy(work.method)
+                return self._outcome(found, trial, natural, memory)
             else:
                 state.rejected += 1
                 h = 0.5 * trial
@@ -130,14 +134,18 @@ class SmoothSteps:
         order = bisect_right(state.low_orders_from, state.steps) if state.cut_short else 0
         return LOWEST if order == LOWEST - 1 and state.easy else order
 
-    def _outcome(self, found: tuple[float, float, Array | None], h: float, natural: float) -> Outcome:
+    def _outcome(
+        self, found: tuple[float, float, Array | None], h: float, natural: float, memory: StepArrays
+    ) -> Outcome:
         """Return a completed step of size h [s], from the results of `_attempt`."""
         state, work, (error, time, directions) = self._state, self._dynamics.work, found
         if not work.regular:
             self._dynamics.check()
-        state.easy = work.method == LOWEST or (work.method == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
-        start = state.t, h, state.q, state.v, state.works, work.dense_coefficients.copy()
-        return DenseStep(*start, work.joint_charts, state.closed, directions), natural, time
+        method = work.method
+        state.easy = method == LOWEST or (method == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
+        start = state.t, h, state.q, state.v, state.works, memory.dense_coefficients
+        step = DenseStep(*start, self._charts, state.closed, directions)
+        return step, natural, time, memory.q0, memory.v0
 
     def _directions(self) -> Array | None:
         """Return the directions of slip of an explicit step, see `DenseStep`."""

@@ -21,6 +21,7 @@ from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
 from ..robot.solids import Box, Shape
+from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
 from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note, SteppedInterval
@@ -69,7 +70,7 @@ def write_trajectory(path: str | Path, parts: Mapping[str, Any]) -> None:
             segment_q=_stack([s.q for s in segments], nq),
             segment_v=_stack([s.v for s in segments], nv),
             segment_w=_stack([s.w for s in segments], WORKS),
-            segment_dense=_stack([s.coefficients for s in segments], 7, 2 * nv + WORKS),
+            segment_dense=_dense(segments, 2 * nv + WORKS),
             event_q=_stack([event.q for event in events], nq),
             event_v=_stack([(event.v_before, event.v_after) for event in events], 2, nv),
             **dict(zip(FORCE_TABLES, forces.tables, strict=True)),
@@ -113,6 +114,14 @@ def _impacts_in_numbers(impacts: Sequence[ImpactRecord], nq: int, nv: int) -> di
 
 def _stack(rows: Sequence[Any], *shape: int) -> Array:
     return np.array(rows, dtype=float).reshape(len(rows), *shape)
+
+
+def _dense(segments: Sequence[DenseStep], rates: int) -> Array:
+    """Return the dense output (len(segments), 7, rates) of all steps, with zeros for missing terms."""
+    dense = np.zeros((len(segments), DENSE_TERMS, rates))
+    for step, coefficients in zip(segments, dense, strict=True):
+        coefficients[: len(step.coefficients)] = step.coefficients
+    return dense
 
 
 def read_trajectory(path: str | Path) -> dict[str, Any]:

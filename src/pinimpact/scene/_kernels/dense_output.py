@@ -33,11 +33,11 @@ BASIS = _basis()
 def interpolate(coefficients, theta, out):
     """Fill the increments (n,) at a fraction θ of the step: θ(F₀ + (1 − θ)(F₁ + θ(F₂ + (1 − θ)(F₃ + …)))).
 
-    The coefficients F₀, F₁, … are the rows of `coefficients` (7, n).
+    The coefficients F₀, F₁, … are the rows of `coefficients` (k, n).
     """
     for m in range(coefficients.shape[1]):
         value = 0.0
-        for k in range(6, -1, -1):
+        for k in range(len(coefficients) - 1, -1, -1):
             value = (value + coefficients[k, m]) * (theta if k % 2 == 0 else 1.0 - theta)
         out[m] = value
 

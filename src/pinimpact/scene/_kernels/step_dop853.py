@@ -21,7 +21,7 @@ from .dynamics import evaluate
 from .lie_charts import advance, chart_rate, diverged, magnitudes, turned_too_far
 from .samples import record_sample
 from .trees import end_of_tree
-from .workspace import SceneWorkspace
+from .workspace import DENSE_TERMS, SceneWorkspace
 
 SAMPLES = np.array(
     [
@@ -46,6 +46,9 @@ IMPLICIT = 1 + len(LOW)
 
 LAST = np.array([STAGES, *(one.STAGES for one in LOW), STAGES])
 """Stage at the end of the step, by method."""
+
+TERMS = np.array([DENSE_TERMS, 4, 3, 3, DENSE_TERMS])
+"""Number of rows of the dense output that are not zero, by method."""
 
 
 def _stacked(high, *others):
@@ -173,7 +176,7 @@ def complete(work, t, h):
     """Fill the dense output of the last attempted step, and the bounds of its rates."""
     rates, out = work.stage_rates, work.dense_coefficients
     n, which = len(work.v0), work.method
-    last = LAST[which]
+    last, terms = LAST[which], TERMS[which]
     used = DENSE_STAGES if which == 0 else last + 1
     rate_bounds(rates, last + 1, n, work.rate_bounds)
     for i in range(last + 1, used):
@@ -186,8 +189,10 @@ def complete(work, t, h):
         out[0, m] = h * total
         out[1, m] = h * (rates[0, m] - total)
         out[2, m] = h * (2.0 * total - rates[0, m] - rates[last, m])
-        for k in range(4):
-            out[3 + k, m] = h * dot(rates[:used, m], DENSES[which, k])
+        for k in range(3, terms):
+            out[k, m] = h * dot(rates[:used, m], DENSES[which, k - 3])
+        for k in range(terms, DENSE_TERMS):
+            out[k, m] = 0.0
 
 
 @inlined
