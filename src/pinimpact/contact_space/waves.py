@@ -24,12 +24,9 @@ RTOL, LEAST_RTOL = 1e-16, 1e-17
 """Relative tolerance of the series of a step: the default, and the smallest."""
 
 MOST_STEPS = 1000
-"""Largest number of steps between two events, and per contact in all: about the cost of adaptive steps
-through the whole impact, whose number grows with the inverse fourth root of their tolerance."""
-
-MANY = 2**18
-"""Number of rows for a long impact, which is computed again: more than nearly all have. Only those that are
-filled take memory."""
+"""Largest number of steps between two events, and of those per contact within which the fastest approach has
+to halve. As long as it does, adaptive steps through the impact take longer, whose number grows with the inverse
+fourth root of their tolerance."""
 
 COARSEST = 0.1 * LITTLE
 """Largest tolerance of adaptive steps."""
@@ -47,7 +44,7 @@ def propagate_waves(
 
     If there are too many events, the impact is integrated by adaptive steps with a tolerance `accuracy` of
     velocities relative to the largest, or taken as plastic if `accuracy` is zero or this fails. With `most`,
-    the largest number of steps between two events and per contact in all, an `IrregularMotionError` is raised
+    the largest number of steps between two events (see `MOST_STEPS`), an `IrregularMotionError` is raised
     instead.
     """
     from ._kernels.propagation import propagate
@@ -73,7 +70,7 @@ def propagate_waves(
         )
         steps, events, used, points, ended = counts.tolist()
         if used >= len(rows):
-            rows = np.empty((max(MANY, 4 * len(rows)), 5))
+            rows = np.empty((16 * len(rows), 5))
         elif record and points >= len(path):
             path = np.empty((4 * len(path), 6 * n + 1))
         else:

@@ -77,7 +77,7 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
                 close(system, state, j)
             elif v[3 * j + 2] < -ROUNDOFF:
                 return False
-    clock, at_once, slower, most_events = 0.0, 0, 0.5, MOST_EVENTS * n
+    clock, at_once, slower, most_events, most = 0.0, 0, 0.5, MOST_EVENTS * n, most_steps * n
     rest, ends, change = np.zeros(3 * n), np.zeros(3 * n), math.inf
     check = NONE_YET + FEWEST + PLASTIC_EVENTS * n
     counts[:] = 0
@@ -104,8 +104,11 @@ def follow(system, state, series, roots, room, accuracy, most_steps, works, coun
             change, check = 0.0, 2 * counts[EVENT]
         if fastest <= slower:  # the impacts die out
             slower, most_events = 0.5 * fastest, counts[EVENT] + MOST_EVENTS * n
-        if counts[ENDED] == 2 or counts[EVENT] >= most_events or counts[STEP] > most_steps * n:
+            most = counts[STEP] + most_steps * n
+        if counts[ENDED] == 2 or counts[EVENT] >= most_events or counts[STEP] > most:
             counts[ENDED] = 2
+            return True
+        if 0 < len(rows) <= counts[ROW] or 0 < len(path) <= counts[POINT]:  # to be repeated with longer ones
             return True
         if not presses:
             _fly(system, state, time)
