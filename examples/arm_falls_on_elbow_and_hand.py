@@ -50,9 +50,10 @@ def main() -> None:
         above.axvline(time, color=f"C{k + 1}", lw=0.8, label=source)
     above.legend(fontsize=7)
     t = np.linspace(0.0, motion.t[-1], 400)
+    closed = {mode.source for mode in motion.modes}  # at times; the others have no sustained forces
     for k, pair in enumerate(first):
-        names = [label for label, shape in shapes.items() if shape == pair]
-        force = sum(motion.forces_world(name, t)[:, 2] for name in names)
+        names = [label for label, shape in shapes.items() if shape == pair and label in closed]
+        force = sum((motion.forces_world(name, t)[:, 2] for name in names), np.zeros(len(t)))
         below.plot(t, force, color=f"C{k + 1}")
     below.set(xlabel="t [s]", ylabel="sustained force up [N]", yscale="symlog")
     figure.tight_layout()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -63,11 +64,13 @@ def prose_of(path: Path) -> str:
     if path.suffix == ".md":
         return re.sub(r"`[^`\n]*`", "", pages.FENCE.sub("", text))
     lines = text.splitlines()
-    strings = [
-        "\n".join(lines[node.lineno - 1 : node.end_lineno])
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    ]
+    strings = []
+    nodes: list[ast.AST] = [ast.parse(text)]
+    for node in nodes:  # statements only, since strings within expressions are no docstrings
+        for statement in getattr(node, "body", []):
+            if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
+                strings.append("\n".join(lines[statement.lineno - 1 : statement.end_lineno]))
+            nodes.append(statement)
     comments = [line.partition("# ")[2] for line in lines]
     return "\n".join([*strings, *comments])
 
@@ -209,49 +212,10 @@ def test_files_of_style_sheets_are_in_the_site(site: Path) -> None:
 ARTICLE = re.compile(r"(<article[^>]*>)(.*?)(</article>)", re.DOTALL)
 
 
-def theory_with(site: Path, content: str) -> str:
-    """Return the theory page with other content."""
-    text = (site / "theory" / "index.html").read_text(encoding="utf-8")
-    assert len(ARTICLE.findall(text)) == 1
-    return ARTICLE.sub(lambda found: found[1] + content + found[3], text)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_formulas_are_typeset(site: Path, tmp_path: Path) -> None:
-    """All pages with formulas are rendered as one, since each start of a browser takes seconds."""
-    contents, count = [], 0
-    for path in site.rglob("*.html"):
-        text = path.read_text(encoding="utf-8")
-        if formulas := Loaded(text).formulas:
-            assert re.search(r'<script src="[./]*katex/render.js"', text), path
-            (article,) = ARTICLE.findall(text)
-            assert Loaded(article[1]).formulas == formulas, path
-            contents.append(article[1])
-            count += formulas
-    assert len(contents) > 2
-    page = site / "theory" / "all.html"
-    page.write_text(theory_with(site, "".join(contents)), encoding="utf-8")
-    dom = rendered(page, tmp_path)
-    page.unlink()
-    assert "katex-error" not in dom, re.findall(r'katex-error" title="([^"]+)"', dom)
-    assert dom.count('<annotation encoding="application/x-tex">') == count
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_error_in_a_formula_is_detected(site: Path, tmp_path: Path) -> None:
-    page = site / "theory" / "broken.html"
-    wrong = '<span class="arithmatex">\\(\\nosuchcommand{1}\\)</span>'
-    page.write_text(theory_with(site, wrong), encoding="utf-8")
-    assert rendered(page, tmp_path).count('katex-error" title=') == 1
-    page.unlink()
-
-
 OVERLAPS = """<script>
 window.addEventListener("load", () => {
   const found = [];
-  for (const formula of document.querySelectorAll(".katex-display")) {
+  for (const formula of document.querySelectorAll(".measured .katex-display")) {
     const tag = formula.querySelector(".tag");
     const parts = [...formula.querySelectorAll(".katex-html > .base")];
     const right = Math.max(...parts.map((part) => part.getBoundingClientRect().right));
@@ -259,24 +223,67 @@ window.addEventListener("load", () => {
     const wide = right > end || formula.scrollWidth > formula.clientWidth + 1;
     if (wide) found.push(formula.textContent.slice(0, 60));
   }
-  document.body.innerHTML = "<pre id=overlaps>" + found.join("\\n") + "</pre>";
+  const list = document.createElement("pre");
+  list.id = "overlaps";
+  list.textContent = found.join("\\n");
+  document.body.append(list);
 });
 </script></body>"""
-"""Script that replaces a page by its formulas that are too wide."""
+"""Script that appends to a page its measured formulas that are too wide."""
+
+WRONG = [
+    '<span class="arithmatex">\\(\\nosuchcommand{1}\\)</span>',
+    '<div class="measured"><div class="arithmatex">\\[' + "x+" * 80 + "x \\tag{0}\\]</div></div>",
+]
+"""A formula with an error, and one that is too wide."""
+
+
+class Shown(NamedTuple):
+    dom: str  # of a page with the content of all pages that have formulas, and the wrong ones
+    formulas: int  # without the wrong ones
+    pages: int
+
+
+@pytest.fixture(scope="module")
+def shown(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Shown:
+    """Render all pages with formulas as one, since each start of a browser takes seconds."""
+    if CHROMIUM is None:
+        pytest.skip("Chromium renders the formulas; none is installed")
+    contents, count = [], 0
+    for path in site.rglob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        if formulas := Loaded(text).formulas:
+            assert re.search(r'<script src="[./]*katex/render.js"', text), path
+            (article,) = ARTICLE.findall(text)
+            assert Loaded(article[1]).formulas == formulas, path
+            measured = path.parent.name == "theory"
+            contents.append(f'<div class="measured">{article[1]}</div>' if measured else article[1])
+            count += formulas
+    text = (site / "theory" / "index.html").read_text(encoding="utf-8")
+    text = ARTICLE.sub(lambda found: found[1] + "".join(contents + WRONG) + found[3], text)
+    page = site / "theory" / "all.html"
+    page.write_text(text.replace("</body>", OVERLAPS), encoding="utf-8")
+    dom = rendered(page, tmp_path_factory.mktemp("profile"))
+    page.unlink()
+    return Shown(dom, count, len(contents))
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_formulas_do_not_overlap_their_numbers(site: Path, tmp_path: Path) -> None:
-    wide = r"<div class='arithmatex'>\[" + "x+" * 80 + r"x \tag{0}\]</div>"
-    text = (site / "theory" / "index.html").read_text(encoding="utf-8")
-    for page, too_wide in ((text, 0), (theory_with(site, wide), 1)):
-        path = site / "theory" / "measured.html"
-        path.write_text(page.replace("</body>", OVERLAPS), encoding="utf-8")
-        found = re.search(r'<pre id="overlaps">(.*?)</pre>', rendered(path, tmp_path), re.DOTALL)
-        path.unlink()
-        assert found is not None
-        assert len(found[1].splitlines()) == too_wide, found[1]
+def test_formulas_are_typeset(shown: Shown) -> None:
+    """All but the one with an error."""
+    assert shown.pages > 2
+    (error,) = re.findall(r'katex-error" title="([^"]+)"', shown.dom)
+    assert "nosuchcommand" in error
+    wide = 1
+    assert shown.dom.count('<annotation encoding="application/x-tex">') == shown.formulas + wide
+
+
+@pytest.mark.slow
+def test_formulas_do_not_overlap_their_numbers(shown: Shown) -> None:
+    """None of the theory page, but the one that is too wide."""
+    found = re.search(r'<pre id="overlaps">(.*?)</pre>', shown.dom, re.DOTALL)
+    assert found is not None
+    assert re.fullmatch(r"[x+]+", found[1]), found[1]
 
 
 def rendered(page: Path, profile: Path) -> str:

@@ -139,17 +139,17 @@ def tosses(rng: np.random.Generator, groups: int = 60, each: int = 3):
 def test_standard_errors_agree_with_scatter_of_estimates() -> None:
     rng = np.random.default_rng(3)
     fits, naive = [], []
-    for k in range(150):
+    for k in range(60):
         found, group = tosses(rng)
         fits.append(studies.identify(found, group=group))
         if k < 20:  # enough for a mean of standard errors
             naive.append(studies.identify(found).standard_errors)
     scatter = np.std([fit.x for fit in fits], axis=0)
-    # a standard deviation of 150 numbers has a standard error of 6 %
-    assert np.mean([fit.standard_errors for fit in fits], axis=0) == pytest.approx(scatter, rel=0.18)
+    # a standard deviation of 60 numbers has a standard error of 9 %
+    assert np.mean([fit.standard_errors for fit in fits], axis=0) == pytest.approx(scatter, rel=0.27)
     assert np.mean(naive, axis=0)[0] < 0.8 * scatter[0]  # impacts of a toss are not independent
     inside = [(fit.interval()[:, 0] <= (0.16, 0.27)) & (fit.interval()[:, 1] >= (0.16, 0.27)) for fit in fits]
-    assert np.all(np.sum(inside, axis=0) >= 134)  # fewer have a probability of 0.2 % for intervals of 95 %
+    assert np.all(np.sum(inside, axis=0) >= 52)  # fewer have a probability of 0.3 % for intervals of 95 %
 
 
 def test_outlier_has_less_weight_with_soft_loss() -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
+import multiprocessing
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -117,12 +119,48 @@ def compiled(first_run: FirstRun) -> Path:
     return first_run.folder / "pinimpact"
 
 
+FORKED = """
+import os, sys
+for number, path in ((1, {out!r}), (2, {err!r})):
+    os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
+os.environ.update({variables!r})
+import numba
+numba.config.reload_config()
+sys.dont_write_bytecode = True
+sys.path.insert(0, {folder!r})
+assert "pinimpact" not in sys.modules
+exec({code!r})
+"""
+forks = multiprocessing.get_context("forkserver" if sys.platform != "win32" else "spawn")
+forks.set_forkserver_preload(["pytest", "numba.core.event"])  # what a process takes half a second to import
+
+
 def python(package: Path, code: str = CALL, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process that has imported numba and nothing of a package."""
+    variables = {"NUMBA_CACHE_DIR": str(package.parent / "cache")} | variables
+    if not variables.keys() <= {"NUMBA_CACHE_DIR", "TMPDIR"}:
+        return started(package, code, **variables)
+    with tempfile.TemporaryDirectory() as folder:
+        out, err = (Path(folder, name) for name in ("out", "err"))
+        whole = FORKED.format(
+            out=str(out), err=str(err), variables=variables, folder=str(package.parent), code=code
+        )
+        process = forks.Process(target=exec, args=(whole, {"__name__": "__main__"}))
+        process.start()
+        process.join(300.0)
+        done = subprocess.CompletedProcess(
+            code, process.exitcode, *(path.read_text(encoding="utf-8") for path in (out, err))
+        )
+        done.check_returncode()
+        return done
+
+
+def started(package: Path, code: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process that has imported nothing."""
     environment = dict(
         os.environ,
         PYTHONPATH=str(package.parent),
         PYTHONDONTWRITEBYTECODE="1",  # bytecode identifies sources by size and time in whole seconds
-        NUMBA_CACHE_DIR=str(package.parent / "cache"),
     )
     return subprocess.run(
         [sys.executable, "-c", code],

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from example_robot_data.robots_loader import ROBOTS
 
 import pinimpact
 from pinimpact.robot import loading
@@ -452,3 +453,23 @@ def test_unsupported_file_formats_raise(tmp_path, name, text, said):
     (tmp_path / name).write_text(text)
     with pytest.raises(pinimpact.ModelError, match=said):
         pinimpact.load_robot(tmp_path / name)
+
+
+def test_robots_of_one_name_share_their_meshes_only() -> None:
+    """A robot is as example-robot-data loads it, whatever was done to an earlier one."""
+    first, expected = pinimpact.load_robot("panda"), ROBOTS["panda"]().robot
+    first.model.friction[:] = 3.0
+    first.q0[:] = 9.0
+    first.visual_model.geometryObjects[0].placement = pin.SE3.Random()
+    first.collision_model.removeAllCollisionPairs()
+    second = pinimpact.load_robot("panda")
+    assert second.model == expected.model
+    np.testing.assert_array_equal(second.q0, expected.q0)
+    assert vars(second).keys() == vars(expected).keys()
+    assert second.collision_model.collisionPairs.tolist() == expected.collision_model.collisionPairs.tolist()
+    for shapes, others in (
+        (second.visual_model, expected.visual_model),
+        (second.collision_model, expected.collision_model),
+    ):
+        for shape, other in zip(shapes.geometryObjects, others.geometryObjects, strict=True):
+            assert (shape.name, shape.placement) == (other.name, other.placement)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -133,6 +134,19 @@ def _checked(
 
 
 def _from_example_robot_data(name: str, free_flyer: bool | None) -> tuple[Path, pin.RobotWrapper]:
+    """Return the file of a robot and the robot: a copy, whose meshes are those of earlier copies."""
+    path, kept = _read(name, free_flyer)
+    robot = pin.RobotWrapper(kept.model.copy(), kept.collision_model.copy(), kept.visual_model.copy())
+    vars(robot).update(
+        {key: given for key, given in vars(kept).items() if key not in vars(robot)}
+    )  # its file
+    robot.q0 = kept.q0.copy()
+    return path, robot
+
+
+@lru_cache(maxsize=8)
+def _read(name: str, free_flyer: bool | None) -> tuple[Path, pin.RobotWrapper]:
+    """Read a robot of example-robot-data; its meshes take half a second."""
     loader = ROBOTS[name]
     if free_flyer is not None:
         loader = type(name, (loader,), {"free_flyer": free_flyer})

@@ -72,7 +72,7 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
     whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
     return Template((own / "page.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
-        shapes=base64.b64encode(gzip.compress(whole, 6, mtime=0)).decode("ascii"),
+        shapes=base64.b64encode(gzip.compress(whole, 5, mtime=0)).decode("ascii"),
         motion=json.dumps(motion, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         viewer=_script(viewer.read_text(encoding="utf-8")),
         drawing=_script((own / "drawing.js").read_text(encoding="utf-8")),
