@@ -25,8 +25,8 @@ RTOL, LEAST_RTOL = 1e-16, 1e-17
 
 MOST_STEPS = 1000
 """Largest number of steps between two events, and of those per contact within which the fastest approach has
-to halve. As long as it does, adaptive steps through the impact take longer, whose number grows with the inverse
-fourth root of their tolerance."""
+to halve. As long as it does, adaptive steps through the impact take longer. The number of those grows with
+the inverse fourth root of their tolerance."""
 
 COARSEST = 0.1 * LITTLE
 """Largest tolerance of adaptive steps."""
