@@ -393,6 +393,23 @@ def test_without_gravity_a_body_leaves_a_wall_at_any_force(force):
     assert trajectory.q[-1, 2] == pytest.approx(force * rise, rel=1e-6)
 
 
+def test_without_gravity_a_pressed_box_does_not_seem_to_gain_energy():
+    """Rounding errors of the forces on four corners do work on those of the velocities."""
+    corners = [(x, y, -0.05) for x in (-0.05, 0.05) for y in (-0.05, 0.05)]
+    model = free_body(pin.Inertia.FromBox(1.0, 0.1, 0.1, 0.1), corners)
+    model.gravity.linear = np.zeros(3)
+    contacts = [Contact(f"tip{k}", Plane(), friction=0.3) for k in range(4)]
+    scene = Scene(
+        model, contacts, control=lambda t, q, v: np.array([0.0, 0.0, -2.0 * math.cos(3.0 * t), 0, 0, 0])
+    )
+    q = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0])
+    trajectory = simulate(scene, q, np.zeros(6), 1.0, scheme="event-driven")
+    leaves = math.pi / 6.0
+    assert [interval.end for interval in trajectory.modes] == [pytest.approx(leaves, abs=1e-9)] * 4
+    rise = 2.0 / 9.0 * math.cos(3.0) + 2.0 / 3.0 * (1.0 - leaves)
+    assert trajectory.q[-1, 2] - 0.05 == pytest.approx(rise, abs=1e-9)
+
+
 @pytest.mark.parametrize("mass", [1e6, 1e9])
 @pytest.mark.parametrize("swing", [1.02, 1.0002])
 def test_short_flights_do_not_depend_on_a_heavy_body_elsewhere(swing, mass):

@@ -163,6 +163,25 @@ def test_box_near_friction_angle(excess):
     assert not any("jam" in note.text for note in trajectory.notes)
 
 
+@pytest.mark.parametrize("beyond", [-1e-9, 1e-10, 1e-9])
+def test_ladder_on_a_smooth_wall_at_its_steepest_angle(beyond):
+    """A ladder of 1 m and 1 kg slides if the tangent of its angle to the wall exceeds 2 μ."""
+    mu = 0.4
+    angle = math.atan(2.0 * mu) + beyond
+    model = free_body(
+        pin.Inertia(1.0, np.zeros(3), np.diag([1 / 12, 1 / 12, 1e-3])), [(0, 0, -0.5), (0, 0, 0.5)]
+    )
+    contacts = [Contact("tip0", Plane(), friction=mu), Contact("tip1", Plane(normal=(1.0, 0.0, 0.0)))]
+    sine, cosine = math.sin(angle), math.cos(angle)
+    q = np.array([0.5 * sine, 0.0, 0.5 * cosine, *pin.Quaternion(pin.utils.rotate("y", -angle)).coeffs()])
+    trajectory = simulate(
+        Scene(model, contacts), q, np.zeros(6), 0.01, rtol=1e-11, atol=1e-14, scheme="event-driven"
+    )
+    excess = G * (0.5 * sine - mu * cosine) / (1 / 3 - 0.5 * mu * sine * cosine)
+    assert trajectory.v[-1, 4] == pytest.approx(-max(excess, 0.0) * 0.01, rel=1e-3, abs=1e-14)
+    assert not trajectory.notes
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_plate_tips_when_load_leaves_its_support(friction):
     """With the load near an edge, forces of least norm unload one corner before the plate tips."""

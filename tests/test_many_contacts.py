@@ -892,6 +892,24 @@ def test_body_locked_at_three_contacts_stays_locked_under_rounding(friction):
         assert solution.work.total.sum() == pytest.approx(0.5 * np.sum(v * solution.impulse), rel=1e-6)
 
 
+@pytest.mark.parametrize("restitution", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("slope", [1.0, 1.3])
+def test_ball_that_falls_into_a_rough_wedge_stays(slope, restitution):
+    # μ exceeds the tangent of half the angle between the walls, so that friction balances normal forces; no
+    # force acts along the wedge, whose rows contain nothing but rounding errors
+    rows = []
+    for side in (1.0, -1.0):
+        normal = np.array([0.0, side * math.sin(slope), math.cos(slope)])
+        along = np.array([1.0, 0.0, 0.0])
+        for axis in (along, np.cross(normal, along), normal):
+            rows.append([*axis, *np.cross(-normal, axis)])
+    inverse = np.diag([1.0, 1.0, 1.0, 2.5, 2.5, 2.5])  # a ball of 1 kg and 1 m
+    u = np.array([0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
+    solution, after = collide(np.array(rows), inverse, u, friction=1.0, restitution=restitution)
+    assert np.abs(after).max() < 1e-12
+    assert not solution.notes
+
+
 @pytest.mark.parametrize(
     ("seed", "friction"),
     [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)],

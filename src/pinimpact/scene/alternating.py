@@ -214,10 +214,11 @@ class Alternating(TimeStepping):
             self._run(end, state.coarse)
             state.stepped = (*state.stepped[:-1], replace(state.stepped[-1], end=state.t))
             return
+        self._unlocated = False
         q_coarse, v_coarse, impacts_coarse = self._try(start, end, state.coarse)
         q, v, impacts = self._try(start, end, 0.5 * state.coarse)
         error, parts = math.nan, 2
-        if impacts_coarse == impacts:
+        if impacts_coarse == impacts and not self._unlocated:
             by_position = np.abs(pin.difference(self.model, q_coarse, q))
             errors = np.maximum(by_position, 0.5 * state.coarse * np.abs(v_coarse - v))
             sizes = np.empty(len(v))

@@ -26,6 +26,9 @@ ISLANDS = 5
 scheme solves for the forces of all contacts at once, at a cost cubic in their number; time steps solve each
 island alone."""
 
+UNLOCATED = f"More than {MOST_IMPACTS} impacts in a time step: further ones are without restitution."
+"""Note on the first contact whose restitution is lost because of `MOST_IMPACTS`."""
+
 CROWDED = "An impact at many contacts is part of a time step, by Newton's law; further ones are not noted."
 """Note on the first impact whose waves time steps do not follow."""
 

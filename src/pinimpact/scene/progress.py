@@ -57,9 +57,10 @@ class Progress:
     ) -> None:
         self._model, self._options, self._instant, self._jumps = model, options, instant, jumps
         self._state: HybridState = instant.state
-        extent, self._time_scale = sizes
-        self._speed = extent / self._time_scale
+        self._extent, self._time_scale = sizes
+        extent, self._speed = self._extent, self._extent / self._time_scale
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
+        self._pressed = self._weight  # the largest sum of it and the forces of the control at a check
         self._little = instant.dynamics.work.gain_tolerance = self._weight * options.rtol * extent
         self._tolerance = options.rtol * extent + options.atol
 
@@ -125,8 +126,10 @@ class Progress:
         error = self._instant.dynamics.error(state.v)
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
         pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())
-        too_much = gained > self._little + pressed * ROLLING * error * until
-        too_much |= at_once > self._little + forces * error * (until - step.start)
+        self._pressed = max(self._pressed, pressed)
+        little = self._pressed * self._options.rtol * self._extent
+        too_much = gained > little + pressed * ROLLING * error * until
+        too_much |= at_once > little + forces * error * (until - step.start)
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
         if too_much and gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
             raise IrregularMotionError(

@@ -183,7 +183,8 @@ class SteppedInterval:
         dt: Its shortest step [s].
         reason: Why events were not located there.
         error: Estimated error of the coordinates [m or rad]; NaN if steps of two sizes led to impacts in
-            different orders, so that there is no estimate.
+            different orders, or if impacts were without restitution since there were too many, so that there
+            is no estimate.
     """
 
     start: float

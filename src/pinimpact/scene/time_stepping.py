@@ -26,7 +26,7 @@ from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem, widest
 from ._kernels.tolerances import STEPS_LONGER, STEPS_SHORTEST, STEPS_SLACK, STEPS_TOGETHER
 from ._kernels.workspace import DENSE_TERMS
-from .crowds import CROWDED, MOST_IMPACTS
+from .crowds import CROWDED, MOST_IMPACTS, UNLOCATED
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import StepForces
@@ -58,6 +58,7 @@ class TimeStepping(Integrator):
     """A motion integrated by steps of length `dt`; see `Integrator`."""
 
     _prepared = _left = False
+    _unlocated = False  # whether a contact has closed without its restitution
     _restitution: Array  # of the impacts left to the next step
     _rest: Rest
     _energy: StepEnergy
@@ -188,6 +189,10 @@ class TimeStepping(Integrator):
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
         near = rows.near(self.work.contacts)
+        stops = found.fast & self._collides[near] & (found.impulse[rows.normals] > 0.0)
+        if stops.any() and not (strikes or self._left):
+            self._unlocated = True
+            self.record.note_once(t, UNLOCATED)
         closing = strikes & found.arrives & (found.gap_end < 0.0) & self._collides[near]
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals]

@@ -150,7 +150,7 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     size = len(what.free)
     response, delassus, force = np.empty(what.rows.shape), np.empty((size, size)), np.empty(size)
     delassus_of_rows(what.rows, work.minverse, response, delassus)
-    unique = touching_rows.determines_forces(delassus)
+    unique = touching_rows.determines_forces(delassus, what.law)
     problem = CoulombProblem(delassus, what.free, what.law)
     converged = touching_rows.forces_on(work, what, problem, candidates, unique, force)
     # if no forces were found, `force` has those of the last attempt

@@ -127,16 +127,26 @@ def keep_forces(work, what, force):
         found[work.contacts + what.joints[m], 0] = force[3 * nc + m]
 
 
-@declared(FLOAT_ROWS)
+@declared(FLOAT_ROWS, Law)
 @external
-def determines_forces(delassus):
-    """Return whether the Delassus matrix (m, m) is regular, apart from rows that no force moves."""
-    size = len(delassus)
-    rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)), RANK)
-    stiffest = largest_diagonal(delassus)
+def determines_forces(delassus, law):
+    """Return whether the Delassus matrix (m, m) is regular, apart from rows without a force or an effect.
+
+    No force acts along the tangential rows of contacts without friction, and none moves a robot that cannot
+    move along a row.
+    """
+    acting, stiffest = np.ones(len(delassus), dtype=np.bool_), largest_diagonal(delassus)
+    for a in range(len(delassus)):
+        if a < 3 * len(law.friction) and a % 3 != 2:
+            acting[a] = law.friction[a // 3] > 0.0 or law.held[a // 3]
+        acting[a] &= delassus[a, a] > ROUNDOFF * stiffest
+    rows = np.flatnonzero(acting)
+    size = len(rows)
+    part = np.empty((size, size))
     for a in range(size):
-        rank += delassus[a, a] <= ROUNDOFF * stiffest
-    return rank == size
+        for b in range(size):
+            part[a, b] = delassus[rows[a], rows[b]]
+    return factor(part, np.empty(size, dtype=np.int64), np.zeros((size, size)), RANK) == size
 
 
 @inlined
