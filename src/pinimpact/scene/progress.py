@@ -60,7 +60,6 @@ class Progress:
         self._extent, self._time_scale = sizes
         extent, self._speed = self._extent, self._extent / self._time_scale
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
-        self._pressed = self._weight  # the largest sum of it and the forces of the control at a check
         self._little = instant.dynamics.work.gain_tolerance = self._weight * options.rtol * extent
         self._tolerance = options.rtol * extent + options.atol
 
@@ -126,8 +125,8 @@ class Progress:
         error = self._instant.dynamics.error(state.v)
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
         pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())
-        self._pressed = max(self._pressed, pressed)
-        little = self._pressed * self._options.rtol * self._extent
+        state.pressed = max(state.pressed, pressed)
+        little = state.pressed * self._options.rtol * self._extent
         too_much = gained > little + pressed * ROLLING * error * until
         too_much |= at_once > little + forces * error * (until - step.start)
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
