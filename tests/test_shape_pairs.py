@@ -562,3 +562,35 @@ def test_faces_that_slide_on_each_other_do_not_limit_steps():
     np.testing.assert_allclose(ends[0].v[-1], ends[1].v[-1], atol=1e-4)
     before, after = (momentum(robot, ends[0].q[k], ends[0].v[k])[:3] for k in (0, -1))
     np.testing.assert_allclose(after, before, atol=1e-9)
+
+
+@pytest.mark.parametrize("first", ["a", "b"])
+@pytest.mark.parametrize(("friction", "restitution"), [(0.0, 1.0), (0.4, 1.0), (0.4, 0.4)])
+def test_parallel_edges_that_meet_have_the_normal_of_their_approach(first, friction, restitution):
+    """Two tilted boxes, mirror images, collide in edges twice; each face would give another normal."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    size, tilt, speed = 0.2, 0.2, 1.0
+    inertia = pin.Inertia.FromBox(1.0, size, size, size)
+    for name in "ab":
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addJointFrame(joint)
+        solid = pin.GeometryObject(name, joint, pin.SE3.Identity(), coal.Box(size, size, size))
+        shapes.addGeometryObject(solid)
+    model.gravity = pin.Motion.Zero()
+    contact = Contact(
+        geometry=first, plane=Shape("ab".replace(first, "")), friction=friction, restitution=restitution
+    )
+    q = np.concatenate([pose(-0.3, 0.0, 0.0, pitch=tilt), pose(0.3, 0.0, 0.0, pitch=-tilt)])
+    v, (c, s) = np.zeros(12), (np.cos(tilt), np.sin(tilt))
+    v[0], v[2], v[6], v[8] = speed * c, speed * s, -speed * c, speed * s
+    run = simulate(Scene(model, contact, geometry=shapes), q, v, 0.3, scheme="event-driven")
+    collided = run.impacts[-1].time
+    assert run.impacts[0].time < collided
+    for q in (run.at(0.5 * (run.impacts[0].time + collided))[0], run.q[-1]):
+        assert q[:7] == pytest.approx(q[7:] * [-1, 1, 1, 1, -1, 1, 1], abs=1e-12)
+    arm = 0.5 * size * (c - s)  # height of the edge over the centre
+    impulse = (1.0 + restitution) * speed / (1.0 + arm**2 / inertia.inertia[1, 1])
+    after = run.impacts[1].v_after if run.impacts[1].time == run.impacts[0].time else run.impacts[0].v_after
+    assert np.hypot(after[0], after[2]) == pytest.approx(abs(speed - impulse), abs=1e-9)
+    assert after[4] == pytest.approx(-arm * impulse / inertia.inertia[1, 1], abs=1e-9)

@@ -320,7 +320,7 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
     q, beyond = _foot_on_edge(p, b, j) if touch.kind == "vertex-edge" else (b.vertices[j], -math.inf)
     between = p - q
     length = float(np.linalg.norm(between))
-    turned = between / length if length > 0.0 else normal
+    turned = between / length if length > COINCIDE * (a.shape.reach + b.shape.reach) else normal
     return Followed(touch._replace(point=p, other=q), turned, beyond)
 
 

@@ -1,0 +1,36 @@
+"""The normal where edges or corners of two convex shapes meet, which have many normals. (theory.md, 15)"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import nnls
+
+from .._numeric.tolerances import ROUNDING
+from ..arrays import Array
+from .convex_pair import ties
+from .convex_shape import PlacedShape
+from .tolerances import LOCAL
+
+
+def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Array) -> Array:
+    """Return the normal (3,) of contact of two shapes that have just met.
+
+    Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
+    directions separate the shapes. Of these it is the one closest to the direction of approach, as for edges
+    that are rounded with a small radius. It does not depend on the order of the shapes or of their faces.
+
+    Args:
+        a: The first shape, A.
+        b: The second shape, B.
+        normal: (3,) one of the separating directions, from B to A.
+        approach: (3,) velocity of B relative to A at the point of contact [m/s].
+    """
+    directions = np.array([one.normal for one in ties(a, b, normal)])
+    if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other
+        return normal
+    weights, _ = nnls(directions.T, approach)
+    found = weights @ directions
+    length = float(np.linalg.norm(found))
+    if length <= ROUNDING * float(np.linalg.norm(approach)):
+        return normal
+    return np.asarray(found / length)
