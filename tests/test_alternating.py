@@ -368,6 +368,17 @@ def test_many_separate_boxes_are_stepped_and_come_to_rest():
     assert run.forces("floor 7 corner 1", 0.6)[2] == pytest.approx(9.81 / 4.0, rel=1e-6)
 
 
+def test_separate_boxes_at_rest_need_no_time_steps():
+    count = 8
+    q0 = np.tile([0, 0, 0.05, *UP], count)
+    q0[0::7] = 0.5 * np.arange(count)
+    run = simulate_auto(boxes(count, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(6 * count), 1.0)
+    assert not run.stepped
+    assert run.statistics["steps"] < 5
+    assert np.abs(run.q[-1] - q0).max() < 1e-12
+    assert run.forces("floor 7 corner 1", 0.6)[2] == pytest.approx(9.81 / 4.0, rel=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("duration", [0.165, pytest.param(0.18, marks=pytest.mark.exhaustive)])
 def test_unresolved_impacts_of_a_pile_are_stepped(duration):

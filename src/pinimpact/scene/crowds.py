@@ -26,6 +26,10 @@ ISLANDS = 5
 scheme solves for the forces of all contacts at once, at a cost cubic in their number; time steps solve each
 island alone."""
 
+AT_REST = 40
+"""The same number of contacts for bodies that are at rest when the motion starts, such as ten boxes: without
+events a single step may cover all of it, which takes as long as some thirty time steps."""
+
 UNLOCATED = f"More than {MOST_IMPACTS} impacts in a time step: further ones are without restitution."
 """Note on the first contact whose restitution is lost because of `MOST_IMPACTS`."""
 

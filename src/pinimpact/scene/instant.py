@@ -21,7 +21,7 @@ from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
 from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING
-from .crowds import CROWD, FEW, CrowdError
+from .crowds import AT_REST, CROWD, FEW, CrowdError
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
@@ -160,7 +160,8 @@ class Instant:
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
             self.rims.check(where, work.touching_gap)
             if self.impacts.refuses and not resolved:
-                self.impacts.refuse_crowd(np.flatnonzero(where[: work.contacts] != APART))
+                touching = np.flatnonzero(where[: work.contacts] != APART)
+                self.impacts.refuse_crowd(touching, AT_REST if starting and i < 0 else CROWD)
             if i >= 0:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)

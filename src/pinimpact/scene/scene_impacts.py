@@ -35,7 +35,7 @@ from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact, impact_in_steps
 from ._kernels.contact_forces import FREE, SLIP
 from ._kernels.tolerances import NEGLIGIBLE, ROUNDING
-from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
+from .crowds import BRIEF, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
@@ -310,9 +310,9 @@ class SceneImpacts:
         missed = (self.unresolved / max(float(np.abs(velocity).max()), TINY)) ** 2
         return min(max(self._dynamics.work.rtol, missed), COARSEST)
 
-    def refuse_crowd(self, contacts: Integers) -> None:
-        """Raise an error if time steps are much cheaper: many touching contacts in many islands."""
-        if len(contacts) <= CROWD:
+    def refuse_crowd(self, contacts: Integers, most: int) -> None:
+        """Raise an error if time steps are much cheaper: over `most` touching contacts in many islands."""
+        if len(contacts) <= most:
             return
         ends = self._dynamics.work.contact_joints[contacts]
         if len(np.unique(islands(self._roots, ends)[ends[ends > 0]])) > ISLANDS:  # the world connects nothing
