@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array
@@ -28,6 +27,8 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: A
     directions = np.array([one.normal for one in ties(a, b, normal)])
     if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other
         return normal
+    from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
+
     weights, _ = nnls(directions.T, approach)
     found = weights @ directions
     length = float(np.linalg.norm(found))
