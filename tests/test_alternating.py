@@ -289,16 +289,16 @@ def test_domino_times_do_not_depend_on_numbering():
 
 def test_step_sizes_do_not_depend_on_the_coordinate_of_another_body():
     """The tolerance of time steps is relative to the size of each coordinate, not to the largest one."""
-    steps = []
+    steps, count = [], 11
     for far in (0.0, 1e3):
-        scene, q0, v0, _ = dominoes(6, list(range(6)))
+        scene, q0, v0, _ = dominoes(count, list(range(count)))
         model, shapes = scene.model.copy(), scene.geometry
         joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "far")
         model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
         unbounded(model)
         given = dict.fromkeys(contact.pair for contact in scene.contacts if contact.pair is not None)
         floor = [
-            Contact(geometry=f"box_{k}_0", plane=FLOOR, friction=0.6, name=f"floor {k}") for k in range(6)
+            Contact(geometry=f"box_{k}_0", plane=FLOOR, friction=0.6, name=f"floor {k}") for k in range(count)
         ]
         robot = pin.RobotWrapper(model, shapes, shapes)
         standing = Scene(robot, [*floor, *given])
