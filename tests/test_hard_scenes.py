@@ -401,7 +401,7 @@ def velocity_after_spring_contact(delassus, velocity, loads, friction, softness,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [262, 2030, 4621])
+@pytest.mark.parametrize("seed", [pytest.param(262, marks=pytest.mark.exhaustive), 2030, 4621])
 def test_sticking_contact_may_slip_in_impact_without_collision(seed):
     """A body rotates about a tip at rest; the other tip jams only after the first one slips.
 
