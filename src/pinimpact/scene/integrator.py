@@ -20,7 +20,7 @@ from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
-from .dense_step import FRICTION, WORKS, DenseStep
+from .dense_step import FRICTION, DenseStep
 from .event_watch import EventWatch, Interruption
 from .events import as_events
 from .forces import ClosedSet, EvaluatedForces
@@ -286,8 +286,6 @@ class Integrator:
         outcome = begun or self.progress.stalled(scale) or self.smooth.compute(h, stop - t)
         if isinstance(outcome, IrregularMotionError):
             return self._resolve_jam_or_raise(outcome)
-        if self._completes(outcome, stop):
-            return state.length
         step, natural, time, *_ = outcome
         state.steps += 1
         regular = work.regular
@@ -319,7 +317,7 @@ class Integrator:
         return state.length
 
     def _completes(self, outcome: Outcome, stop: float) -> bool:
-        """Accept a step in which nothing happens, and return whether it was one; see `_step`."""
+        """Accept a step in which nothing happens, and return whether it was one; others are for `_step`."""
         step, _, time, *_ = outcome
         if time <= step.end or not self.work.regular or self.shapes or self.events:
             return False
@@ -332,10 +330,11 @@ class Integrator:
     def _advance_over(self, outcome: Outcome, stop: float) -> None:
         """Advance the state to the end of a step without an event, and set the step size to try next."""
         state, (step, natural, _, state.q, state.v) = self.state, outcome
+        state.works, state.bounce = step.work_at(step.end), math.inf
         state.length, state.cut_short = step.h * self.work.growth, step.h == stop - state.t
         if state.cut_short:
             state.length, step.end = max(state.length, natural), stop
-        state.t, state.works, state.bounce = step.end, step.w + step.coefficients[0, -WORKS:], math.inf
+        state.t = step.end
 
     def _check_end(self) -> None:
         """Choose modes again if forces are beyond their bounds after a step; correct constraint drift."""

@@ -57,11 +57,11 @@ class Progress:
     ) -> None:
         self._model, self._options, self._instant, self._jumps = model, options, instant, jumps
         self._state: HybridState = instant.state
-        self._extent, self._time_scale = sizes
-        extent, self._speed = self._extent, self._extent / self._time_scale
+        extent, self._time_scale = sizes
+        self._speed, self._error = extent / self._time_scale, options.rtol * extent
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
-        self._little = instant.dynamics.work.gain_tolerance = self._weight * options.rtol * extent
-        self._tolerance = options.rtol * extent + options.atol
+        self._little = instant.dynamics.work.gain_tolerance = self._weight * self._error
+        self._tolerance = self._error + options.atol
 
     def mark(self) -> None:
         """Restart the check of progress at the present state."""
@@ -126,7 +126,7 @@ class Progress:
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
         pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())
         state.pressed = max(state.pressed, pressed)
-        little = state.pressed * self._options.rtol * self._extent
+        little = state.pressed * self._error
         too_much = gained > little + pressed * ROLLING * error * until
         too_much |= at_once > little + forces * error * (until - step.start)
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)

@@ -41,8 +41,8 @@ def propagate(
         v: (3n,) is overwritten with the post-impact velocities [m/s].
         impulse: (3n,) is overwritten with P [N s].
         works: (n, 3) is overwritten with the work of compression, restitution and friction [J].
-        counts: (5,) is overwritten with the numbers of steps, events, rows and points, and the reason of the
-            end: 0 nothing pressed or approaching, 1 negligible approach or plastic end, 2 too many of them.
+        counts: (5,) is overwritten with the numbers of steps, events, rows and points, and why it ended:
+            0 nothing presses or approaches, 1 negligible approach or plastic end, 2 too many steps or events.
         rows: (m, 5) is filled with contact, mode, phase, P₃ at start and end; m = 0: no trace.
         path: (m, 6n + 1) is filled with the clock, velocities and impulses; m = 0: no path. The impact ends
             early if it or `rows` is full.
