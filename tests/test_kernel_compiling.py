@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import multiprocessing
+import operator
 import os
 import shutil
 import subprocess
@@ -12,12 +13,15 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 import pytest
+from numba import types
 from numba.core import event
+from numba.core.registry import cpu_target
 from numba.core.runtime import _nrt_python, rtsys
 from rich.console import Console
 
@@ -26,6 +30,7 @@ from pinimpact._compile import jit as decorators
 from pinimpact._compile import pool, portable, waiting
 from pinimpact._compile.borrowing import borrowed
 from pinimpact._compile.jit import external, inlined, jit
+from pinimpact._compile.operators import OperatorTypes
 from pinimpact._compile.waiting import reached
 from pinimpact.app.terminal import compiling_shown
 
@@ -701,6 +706,30 @@ def test_external_kernel_is_compiled_once() -> None:
         assert another_call(2.0, 3.0) == 4.0 + 27.0 + 13.5
     made = [one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if one.is_start]
     assert sorted(made) == ["another_call", "cubed", "halved", "one_call"]
+
+
+def test_operators_on_numbers_are_typed_once() -> None:
+    context = cpu_target.typing_context
+    context.refresh()
+    multiply, calls = context.resolve_value_type(operator.mul), []
+
+    def resolve(*call: Any) -> Any:
+        calls.append(call)
+        return context.resolve_function_type(*call)
+
+    known = OperatorTypes(SimpleNamespace(resolve_function_type=resolve))
+    pairs = [(types.float32, types.literal(3)), (types.int8, types.complex128), (types.boolean, types.uint8)]
+    for pair in pairs:
+        typed = context.resolve_function_type(multiply, pair, {})
+        assert known.resolve_function_type(multiply, pair, {}) == typed
+        calls.clear()
+        assert known.resolve_function_type(multiply, pair, {}) == typed
+        assert not calls
+    arrays = (types.float64[::1], types.float64[::1])
+    for _ in range(2):
+        calls.clear()
+        known.resolve_function_type(multiply, arrays, {})
+        assert calls
 
 
 def test_kernels_can_be_called_from_numba_functions() -> None:

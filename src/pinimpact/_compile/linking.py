@@ -29,6 +29,7 @@ from .numba_internals import (
     make_function,
     register_pass,
 )
+from .operators import OperatorTypes
 from .sources import stamp
 
 Kernel = tuple[str, str, tuple[Any, ...]]
@@ -327,6 +328,9 @@ class KernelCompiler(CompilerBase):
     """
 
     library: Any = KernelLibrary
+
+    def __init__(self, typing_context: Any, *others: Any) -> None:
+        super().__init__(OperatorTypes(typing_context), *others)
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function."""
