@@ -77,7 +77,7 @@ def test_derivatives_against_difference_quotients(robot, leg):
 
 @pytest.mark.parametrize(("friction", "restitution"), [(0.1, 0.4), (0.8, 0.1)])
 def test_solve_through_impact_needs_no_more_iterations_than_with_differences(leg, friction, restitution):
-    """The slip stops and resumes, or the foot sticks. Numbers of iterations that rounding changes prove nothing."""
+    """The slip stops and resumes, or the foot sticks; of other problems, rounding changes the iterations."""
     model, q, v, contact = leg
     contact = replace(contact, friction=friction, restitution=restitution)
     state = crocoddyl.StateMultibody(model)
