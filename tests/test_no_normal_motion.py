@@ -1,0 +1,113 @@
+"""Robots that cannot move along the normal of a contact, in any orientation: it does no work on them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Plane, Scene, Sphere, simulate
+
+from .scene_models import G, unbounded
+
+TURNS = [pin.exp3(axis) for axis in 2.0 * np.random.default_rng(3).normal(size=(6, 3))]
+"""In these orientations the normal row of the contact Jacobian is a rounding error, and not exactly zero."""
+
+
+def damped(joint, turn, far):
+    """Return a damped point mass, with the frame ``tip``, on a joint that moves it at right angles to z."""
+    model = pin.Model()
+    base = pin.SE3(turn, turn @ np.array([far, 0.0, 0.0]))
+    index = model.addJoint(0, joint(), base, "joint")
+    lever = np.array([1.0, 0.0, 0.0])
+    model.appendBodyToJoint(index, pin.Inertia(1.0, lever, np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", index, 0, pin.SE3(np.eye(3), lever), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.damping = np.array([0.5])
+    model.gravity.linear = turn @ np.array([0.0, 0.0, -G])
+    return model
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("joint", [pin.JointModelPY, pin.JointModelRZ])
+@pytest.mark.parametrize("round_surface", [False, True])
+@pytest.mark.parametrize("far", [0.0, 30.0])
+def test_touching_surface_does_not_slow_a_joint_that_moves_along_it(joint, round_surface, far, scheme):
+    """v = v₀ exp(−d t/I): without motion along the normal there is no normal force."""
+    for turn in TURNS:
+        tip, normal = turn @ np.array([far + 1.0, 0.0, 0.0]), turn[:, 2]
+        surface = Sphere(tip - 0.3 * normal, 0.3) if round_surface else Plane(tip, normal)
+        scene = Scene(damped(joint, turn, far), [Contact("tip", surface, friction=0.8)])
+        trajectory = simulate(scene, [0.0], [-1.0], 0.2, scheme=scheme)
+        assert trajectory.v[-1, 0] == pytest.approx(-np.exp(-0.1), rel=1e-6)
+        assert not trajectory.impacts
+
+
+def test_arm_with_a_lift_slides_along_a_tilted_plane_as_along_a_level_one():
+    """The lift carries the whole normal force, so friction slows the turning arm by μ m g r."""
+    mu, lever = 0.3, 0.5
+    for turn in TURNS:
+        model = pin.Model()
+        lift = model.addJoint(0, pin.JointModelPZ(), pin.SE3(turn, np.zeros(3)), "lift")
+        arm = model.addJoint(lift, pin.JointModelRZ(), pin.SE3.Identity(), "arm")
+        place = pin.SE3(np.eye(3), np.array([lever, 0.0, 0.0]))
+        model.appendBodyToJoint(arm, pin.Inertia.FromSphere(2.0, 0.1), place)
+        model.addFrame(pin.Frame("tip", arm, 0, place, pin.FrameType.OP_FRAME))
+        unbounded(model)
+        model.gravity.linear = turn @ np.array([0.0, 0.0, -G])
+        plane = Plane(normal=turn[:, 2])
+        trajectory = simulate(Scene(model, [Contact("tip", plane, mu)]), [0.0, 0.0], [0.0, 3.0], 0.2)
+        inertia = 2.0 * lever**2 + 0.4 * 2.0 * 0.1**2
+        assert trajectory.v[-1] == pytest.approx([0.0, 3.0 - 0.2 * mu * 2.0 * G * lever / inertia], abs=1e-8)
+
+
+def gantry(turn, joints, friction=0.0, upper=(np.inf, np.inf)):
+    """Return two slides in series with 1 kg each, dry friction on the first, and the frame ``tip``."""
+    model, parent = pin.Model(), 0
+    for joint, name in zip(joints, "ab", strict=True):
+        base = pin.SE3(turn, np.zeros(3)) if parent == 0 else pin.SE3.Identity()
+        parent = model.addJoint(parent, joint(), base, name)
+        body = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+        model.addJointFrame(parent)
+    model.addFrame(pin.Frame("tip", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction, model.upperPositionLimit = np.array([friction, 0.0]), np.array(upper)
+    model.gravity.linear = turn @ np.array([0.0, 0.0, -G])
+    return model
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.8])
+@pytest.mark.parametrize("both", [False, True])
+def test_end_stop_reverses_one_slide_of_a_gantry_that_touches_its_table(both, mu):
+    """The stops act along the slides, and the table has no normal force, so there is no friction either."""
+    for turn in TURNS:
+        table = Contact("tip", Plane(normal=turn[:, 2]), friction=mu, restitution=0.9)
+        model = gantry(turn, (pin.JointModelPX, pin.JointModelPY), upper=(0.1, 0.1 if both else np.inf))
+        scene = Scene(model, [table], limit_restitution=0.5)
+        trajectory = simulate(scene, [0.0, 0.0], [1.0, 1.0], 0.15, scheme="event-driven")
+        assert trajectory.v[-1] == pytest.approx([-0.5, -0.5 if both else 1.0], abs=1e-9)
+        assert {impact.source for impact in trajectory.impacts} == (
+            {"a upper", "b upper"} if both else {"a upper"}
+        )
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.8])
+def test_dry_friction_stops_one_slide_of_a_gantry_that_touches_its_table(mu):
+    """a slows by f/(m₁ + m₂) and rests; b keeps its velocity."""
+    for turn in TURNS:
+        table = Contact("tip", Plane(normal=turn[:, 2]), friction=mu)
+        model = gantry(turn, (pin.JointModelPX, pin.JointModelPY), friction=2.0)
+        trajectory = simulate(Scene(model, [table]), [0.0, 0.0], [0.4, 1.0], 0.5, scheme="event-driven")
+        assert trajectory.q[-1] == pytest.approx([0.08, 0.5], abs=1e-9)
+        assert trajectory.v[-1] == pytest.approx([0.0, 1.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.8])
+def test_slide_held_by_dry_friction_and_by_a_wall_rests(mu):
+    """Both hold the same joint, and rounding errors of gravity are all that acts on it."""
+    for turn in TURNS:
+        model = gantry(turn, (pin.JointModelPX, pin.JointModelPX), friction=0.25)
+        wall = Contact("a", Plane(normal=-turn[:, 0]), friction=mu)
+        trajectory = simulate(Scene(model, [wall]), [0.0, 0.0], [0.0, 1.0], 0.5, scheme="event-driven")
+        assert trajectory.q[-1] == pytest.approx([0.0, 0.5], abs=1e-9)
