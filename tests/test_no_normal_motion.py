@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, Scene, Sphere, simulate
+from pinimpact import Contact, JointPD, Plane, Scene, Sphere, simulate
 
 from .scene_models import G, unbounded
 
@@ -111,3 +111,29 @@ def test_slide_held_by_dry_friction_and_by_a_wall_rests(mu):
         wall = Contact("a", Plane(normal=-turn[:, 0]), friction=mu)
         trajectory = simulate(Scene(model, [wall]), [0.0, 0.0], [0.0, 1.0], 0.5, scheme="event-driven")
         assert trajectory.q[-1] == pytest.approx([0.0, 0.5], abs=1e-9)
+
+
+@pytest.mark.parametrize("spin", [0.0, 3.0, -7.0])
+def test_spring_swings_an_arm_that_glides_over_its_turning_base(spin):
+    """Slip reverses along the same line at the turning points; dry friction shortens each swing by 2 f/k.
+
+    Base and arm have the inertia 1 about one axis, so that their relative motion has the frequency √(2k).
+    """
+    k, f = 200.0, 2.0
+    half = np.pi / np.sqrt(2.0 * k)
+    for turn in TURNS:
+        model, joint, origin = pin.Model(), pin.JointModelRZ(), pin.SE3.Identity()
+        base = model.addJoint(0, joint, pin.SE3(turn, turn @ np.array([0.2, 0.1, 0.3])), "base")
+        model.appendBodyToJoint(base, pin.Inertia(1.0, np.zeros(3), np.eye(3)), origin)
+        model.addJointFrame(base)
+        arm = model.addJoint(base, joint, origin, "arm")
+        model.appendBodyToJoint(arm, pin.Inertia(1.0, np.array([1.0, 0.0, 0.0]), np.zeros((3, 3))), origin)
+        tip = pin.SE3(np.eye(3), np.array([1.0, 0.3, 0.0]))
+        model.addFrame(pin.Frame("tip", arm, 0, tip, pin.FrameType.OP_FRAME))
+        unbounded(model)
+        model.friction, model.gravity.linear = np.array([0.0, f]), turn @ np.array([0.0, 0.0, -G])
+        spring = JointPD([0.0, k], [0.0, 0.0], [0.0, 0.0])
+        scene = Scene(model, [Contact("tip", Plane(body="base"), friction=0.8)], control=spring)
+        trajectory = simulate(scene, [0.1, 0.3], [spin, 0.0], 3.2 * half, scheme="event-driven", rtol=1e-9)
+        assert trajectory.at(3.0 * half)[0][1] == pytest.approx(-(0.3 - 6.0 * f / k), abs=1e-8)
+        assert np.abs(trajectory.energy.impacts).max() < 1e-9
