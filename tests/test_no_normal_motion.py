@@ -137,3 +137,16 @@ def test_spring_swings_an_arm_that_glides_over_its_turning_base(spin):
         trajectory = simulate(scene, [0.1, 0.3], [spin, 0.0], 3.2 * half, scheme="event-driven", rtol=1e-9)
         assert trajectory.at(3.0 * half)[0][1] == pytest.approx(-(0.3 - 6.0 * f / k), abs=1e-8)
         assert np.abs(trajectory.energy.impacts).max() < 1e-9
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_derivatives_of_a_damped_joint_that_moves_along_a_surface(scheme):
+    """δv = exp(−d t/I) δv₀ and δq = δq₀ + I/d (1 − exp(−d t/I)) δv₀, without contact forces."""
+    left = np.exp(-0.1)
+    for turn in TURNS:
+        model = damped(pin.JointModelRZ, turn, 0.0)
+        scene = Scene(model, [Contact("tip", Plane(turn[:, 0], turn[:, 2]), friction=0.8, name="tip")])
+        trajectory = simulate(scene, [0.0], [-1.0], 0.2, scheme=scheme, sensitivities="state")
+        expected = np.array([[1.0, 2.0 * (1.0 - left)], [0.0, left]])
+        np.testing.assert_allclose(trajectory.sensitivity(0.2).state, expected, atol=1e-6)
+        assert not trajectory.forces("tip", [0.05, 0.1]).any()
