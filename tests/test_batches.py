@@ -107,6 +107,8 @@ def test_a_row_is_a_hit(rng):
         hits[4]
     with pytest.raises(TypeError, match="whole number"):
         hits["first"]
+    with pytest.raises(TypeError, match="whole number"):
+        hits[1:3]
 
 
 def test_a_row_without_answer_spoils_no_other_and_says_what_is_wrong_when_it_is_asked_for(rng):

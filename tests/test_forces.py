@@ -222,7 +222,12 @@ def test_invalid_requests_of_forces_raise():
         trajectory.forces("foot", 0.2)
     with pytest.raises(pinimpact.InputError, match='"left" or "right"'):
         trajectory.forces("foot", 0.0, side="after")
-    assert trajectory.forces("foot", []).shape[0] == 0
+    assert trajectory.forces("foot", []).shape == (0, 3)
+    assert trajectory.center_of_pressure("foot", []).shape == (0, 3)
+    assert trajectory.joint_forces([]).shape == (0, 3)
+    assert trajectory.forces_unique([]).dtype == np.bool_
+    with pytest.raises(pinimpact.InputError, match=r"t: 9\.0 lies outside"):
+        trajectory.at(np.float64(9.0))
 
 
 def test_open_contact_has_zero_force():

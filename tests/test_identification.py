@@ -334,7 +334,10 @@ def test_figure_has_axes_for_each_parameter() -> None:
         ({"loss": "hubber"}, UnknownNameError, "loss: 'hubber' is not a loss"),
         ({"law": "kane"}, UnknownNameError, "is not a restitution law"),
         ({"group": [1, 2]}, InputError, r"group: \[1, 2\] given; 5 labels, one for each row"),
-        ({"group": [1] * 5}, InputError, "all rows are in one group"),
+        ({"group": [1] * 5}, InputError, "5 rows in 1 group; intervals that are robust to groups need two"),
+        ({"found": (np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3)))}, InputError, "0 rows in 0 gr"),
+        ({"free": {"restitution": (0, 1)}, "fixed": {"friction": "a"}}, InputError, "friction: 'a' given"),
+        ({"free": {"restitution": (0, 1)}, "fixed": {"friction": -1}}, InputError, "friction: -1.0 is neg"),
         ({"covariance": -np.eye(3)}, InputError, "covariance: a matrix is not a covariance"),
         ({"covariance": [[1, 2, 0], [0, 1, 0], [0, 0, 1]]}, InputError, "is not a covariance"),
         ({"found": np.zeros((5, 3))}, InputError, r"\(delassus, v_before, v_after\)"),
@@ -347,6 +350,14 @@ def test_bad_input_is_named(change: dict, error: type, message: str) -> None:
     W, before = random_bodies(5, np.random.default_rng(11))
     with pytest.raises(error, match=message):
         studies.identify(**({"found": (W, before, before)} | change))
+
+
+def test_rows_without_approach_determine_nothing() -> None:
+    W, before = random_bodies(5, np.random.default_rng(12))
+    before[:, 2] = np.abs(before[:, 2])
+    reasons = studies.identify((W, before, before)).unidentified
+    assert len(reasons) == 2
+    assert all("approaches in no row" in reason for reason in reasons)
 
 
 def test_missing_or_unknown_contact_raises() -> None:

@@ -518,11 +518,13 @@ def test_figures_are_written(fall, tmp_path: Path) -> None:
     for figure in (
         plots.impact_figure(ROD, pinimpact.solve_impact(ROD), "title"),
         plots.energy_figure(trajectory, "title"),
-        plots.forces_figure(trajectory, ["tip"], "title"),
+        plots.forces_figure(trajectory, "tip", "title"),
     ):
         pixels = imread(plots.save_figure(figure, tmp_path / "figure.png"))
         assert min(pixels.shape[:2]) > 250
         assert pixels.std() > 0.05
+    with pytest.raises(pinimpact.InputError, match="contacts: none given"):
+        plots.forces_figure(trajectory, [], "title")
 
 
 def test_import_does_not_load_matplotlib() -> None:

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import index
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -75,7 +76,7 @@ class Hits:
     def __getitem__(self, row: int) -> Hit:
         """Return the `Hit` of a row, solved again; raise the error of `impact` if there is none."""
         try:
-            i = range(len(self))[row]
+            i = range(len(self))[index(row)]
         except (TypeError, IndexError):
             what = f"row: {in_short(row)} given, a whole number from 0 to {len(self) - 1} expected"
             raise (IndexError if isinstance(row, (int, np.integer)) else TypeError)(what) from None

@@ -118,17 +118,16 @@ class ImpactDerivatives:
         return f"ImpactDerivatives(nv={len(self.v)}, boundary={self.boundary!r})"
 
 
-_TURNING_AXES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic", "mimic")
+_WITHOUT_DERIVATIVES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic", "mimic")
 
 
 def check_joints(model: pin.Model) -> None:
-    """Raise `ModelError` for joints whose motion subspace, in their own axes, depends on q."""
+    """Raise `ModelError` for joints whose motion subspace, in their own axes, depends on q, and mimics."""
     for name, joint in zip(model.names, model.joints, strict=True):
         kind = joint.shortname()
-        if any(word in kind for word in _TURNING_AXES):
+        if any(word in kind for word in _WITHOUT_DERIVATIVES):
             raise ModelError(
-                f"model: joint {name!r} is a {kind}, whose axes turn within the joint; derivatives are not "
-                "available for it",
+                f"model: joint {name!r} is a {kind}; derivatives are not available for joints of this kind",
                 value=name,
             )
 
@@ -204,7 +203,7 @@ def impact_derivatives(
     Raises:
         InputError: As `impact`; a contact or a function e without derivatives.
         UnknownNameError: A frame or joint that the model does not have.
-        ModelError: The mass matrix is not positive definite; joints whose axes turn within the joint.
+        ModelError: The mass matrix is not positive definite; joints whose axes turn within the joint; mimics.
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """

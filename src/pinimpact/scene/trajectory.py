@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array, Bools, Integers
-from ..checks import choice, counted, in_short, near_matches, real_number, real_numbers
+from ..checks import as_tuple, choice, counted, in_short, near_matches, real_number, real_numbers
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
@@ -207,14 +207,15 @@ class Trajectory:
         return found.reshape(np.shape(t))
 
     def center_of_pressure(
-        self, contacts: Sequence[str], t: ArrayLike, side: Literal["left", "right"] = "right"
+        self, contacts: str | Sequence[str], t: ArrayLike, side: Literal["left", "right"] = "right"
     ) -> Array:
         """Return the mean of contact points, weighted by normal forces, (3,) or (m, 3) in world axes [m].
 
         For contacts on one plane it is the point of the plane about which their normal forces have no moment.
         NaN if no contact has a force. Raises the errors of `forces`.
         """
-        numbers = [self._contact(contact) for contact in contacts]
+        names = as_tuple("contacts", contacts, str, "the name of a contact")
+        numbers = [self._contact(contact) for contact in names]
 
         def center(forces: Forces | None) -> Array:
             if forces is None:
@@ -263,7 +264,10 @@ class Trajectory:
             number = self._number(time, side) if self._segments else None
             at = None if number is None else self._forces.at(number, self._segments[number], time)
             found.append(part(at))
-        return found[0] if np.ndim(t) == 0 else np.array(found)
+        if np.ndim(t) == 0:
+            return found[0]
+        none = np.asarray(part(None))  # has the shape also of no times
+        return np.array(found, dtype=none.dtype).reshape(len(found), *none.shape)
 
     def mode_at(self, source: str, t: float) -> str:
         """Return the mode of a contact, joint limit or joint at a time.
@@ -304,7 +308,7 @@ class Trajectory:
         slack = ROUNDING * max(abs(start), abs(end))
         if not start - slack <= time <= end + slack:
             raise InputError(
-                f"t: {in_short(t)} lies outside the trajectory, from {start:.6g} s to {end:.6g} s", value=t
+                f"t: {time} lies outside the trajectory, from {start:.6g} s to {end:.6g} s", value=t
             )
         return min(max(time, start), end)
 

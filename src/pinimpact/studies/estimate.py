@@ -18,7 +18,7 @@ from scipy.stats import chi, qmc, t
 from .. import checks
 from .._numeric.tolerances import HALF_DIGITS, LITTLE
 from ..arrays import Array, Integers
-from ..checks import choice, finite_array, in_short, real_numbers
+from ..checks import choice, counted, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..scene._kernels.tolerances import RTOL
 
@@ -363,9 +363,11 @@ def group_numbers(group: Any, count: int) -> Integers:
             )
         order = {label: k for k, label in enumerate(dict.fromkeys(labels))}
         numbers = np.array([order[label] for label in labels])
-    if count < 2 or numbers.max() < 1:
+    groups = len(np.unique(numbers))
+    if groups < 2:
         raise InputError(
-            "group: all rows are in one group; intervals that are robust to groups need two at least",
+            f"group: {counted(count, 'row')} in {counted(groups, 'group')}; intervals that are robust to "
+            "groups need two groups at least",
             value=group,
         )
     return numbers.astype(np.int64)

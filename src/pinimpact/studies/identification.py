@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array, Integers
-from ..checks import choice, coefficient, finite_array
+from ..checks import at_least_zero, choice, coefficient, finite_array
 from ..contact_space.batch import BatchSolution, solve_impacts
 from ..contact_space.laws import LAWS
 from ..errors import InputError
@@ -190,6 +190,8 @@ def _fitted(
             return "no impact is of this contact"
         batch = solve(x)[0]
         struck = used & (batch.status != Status.NO_IMPACT)
+        if not struck.any():
+            return "the contact approaches in no row, so there is no impact"
         if name.startswith("friction") and ((batch.flags & Flag.STICK) != 0)[struck].all():
             return "all impacts end sticking, and more friction would change nothing"
         speed = -np.median(rows.velocity[used, 2])
@@ -311,7 +313,7 @@ def _of_arrays(
                 raise InputError(
                     f"fixed: {name} is neither free nor fixed; give fixed={{{name!r}: …}}", value=fixed
                 )
-            row[:] = coefficient(name, fixed[name]) if name == "restitution" else fixed[name]
+            row[:] = (coefficient if name == "restitution" else at_least_zero)(name, fixed[name])
     weights = _energy_root(W) if covariance is None else estimate.whitener(covariance, count, 3) @ W
     target = _targets(weights, W, after - before)
     return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law)

@@ -183,8 +183,35 @@ def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
         out[2, j] = f * (n1 * u1 + n2 * u2 + n3 * u3)
 
 
-SCREW = 8.0 * 2.0**-52
-"""Linear velocity along the axis of a joint, over the size of its terms, that is taken as rounding."""
+ROUNDED = 8.0 * EPS
+"""Component of the velocity of a point, over the size of its terms, that is taken as rounding: along the axis
+of the joint (6.8), or along an axis of a contact of a scene."""
+
+
+@inlined
+def size_of_terms(J, j, reach):
+    """Return the size of the numbers from which `column` j is computed, at a distance from the origin."""
+    turning = math.sqrt(J[3, j] * J[3, j] + J[4, j] * J[4, j] + J[5, j] * J[5, j])
+    return abs(J[0, j]) + abs(J[1, j]) + abs(J[2, j]) + reach * turning
+
+
+@inlined
+def drop_rounding(J, signs, k, p1, p2, p3, out):
+    """Set the entries of a contact Jacobian `out` (3, nv) that are rounding errors to zero.
+
+    A row of such entries, as the normal one of a slide that moves along its surface, would otherwise count as
+    one that a force can accelerate, since ranks are relative to the rows. Where the surface is curved, the
+    rounding errors of the contact point p turn the axes. Other arguments are those of `fill_jacobian`.
+    """
+    reach = math.sqrt(p1 * p1 + p2 * p2 + p3 * p3)
+    radius = k[layout.RADIUS] + surfaces.least_radius(k)
+    least = ROUNDED * (1.0 + reach / radius if radius > 0.0 else 1.0)
+    for j in range(len(signs)):
+        if signs[j] != 0.0:
+            size = size_of_terms(J, j, reach)
+            for i in range(3):
+                if abs(out[i, j]) <= least * size:
+                    out[i, j] = 0.0
 
 
 @inlined
@@ -203,9 +230,7 @@ def fill_by_axes(J, signs, p1, p2, p3, axes, out):
         w1, w2, w3 = J[3, j], J[4, j], J[5, j]
         square = w1 * w1 + w2 * w2 + w3 * w3
         along = w1 * u1 + w2 * u2 + w3 * u3
-        turning = math.sqrt(square)
-        size = turning * (abs(J[0, j]) + abs(J[1, j]) + abs(J[2, j]) + reach * turning)
-        if abs(along) <= SCREW * size:
+        if abs(along) <= ROUNDED * math.sqrt(square) * size_of_terms(J, j, reach):
             along = 0.0
         r1, r2, r3 = cross(u1, u2, u3, w1, w2, w3)
         for i in range(3):
@@ -248,6 +273,7 @@ def contact_rows(R, S, columns, signs, constants, on_surface, out):
         p1, p2, p3 = p1 - gap * n1, p2 - gap * n2, p3 - gap * n3
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
     fill_jacobian(columns, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
+    drop_rounding(columns, signs, constants, p1, p2, p3, out)
     o1, o2, o3 = place(S, constants, layout.POINT)
     w1, w2, w3, _, _, _ = material_velocity(S, constants, p1 - o1, p2 - o2, p3 - o3)
     return (

@@ -232,6 +232,7 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, e1, e2, e3, turning)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
     contact_kinematics.fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
+    contact_kinematics.drop_rounding(J, signs, k, p1, p2, p3, jacobian)
     return d - k[layout.RADIUS]
 
 

@@ -22,7 +22,7 @@ from .coming_to_rest import come_to_rest
 from .contact_forces import FREE, HELD, SLIP, STICK, delassus_of_rows
 from .dynamics import evaluate_without_contacts, invert_mass_matrix, set_state
 from .slip import CERTAIN, error_of_step, fastest_of, reversal_tolerance
-from .tolerances import AT_BOUND, STILL
+from .tolerances import AT_BOUND, DIFFERENT, STILL
 from .workspace import SceneWorkspace
 
 ROUNDS = 4
@@ -275,13 +275,22 @@ def stop(work, what, candidates, start, stopped, against, chosen, v):
 
 @inlined
 def turn_rows(direction, rows, velocity):
-    """Turn two tangential rows (2, nv) and their velocities (2,): along a direction (2,), and across it."""
+    """Turn two tangential rows (2, nv) and their velocities (2,): along a direction (2,), and across it.
+
+    The row across is zero if it hardly moves the robot, as where the contact moves along one line only: to
+    stop a rounding error along it would need a large change of velocity.
+    """
     x, y = direction
+    size = across = 0.0
     for j in range(rows.shape[1]):
         first, second = rows[0, j], rows[1, j]
         rows[0, j], rows[1, j] = x * first + y * second, x * second - y * first
+        size, across = max(size, abs(first), abs(second)), max(across, abs(rows[1, j]))
     first, second = velocity
     velocity[0], velocity[1] = x * first + y * second, x * second - y * first
+    if across <= DIFFERENT * size:
+        filled(rows[1], 0.0)
+        velocity[1] = 0.0
 
 
 @inlined

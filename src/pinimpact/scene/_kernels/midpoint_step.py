@@ -103,6 +103,10 @@ def fill_rows(work, v, rows, u, acceleration, turning):
             work, i, moving, signs[:count], jacobian, motion, acceleration[k], turning[k], surface[k]
         )
         gap[k] -= work.rest_gap[i]
+        pushes = k >= len(contacts)  # no normal force, and so no friction, acts where none moves the robot
+        for m in range(count):
+            pushes = pushes or jacobian[2, m] != 0.0
+        count = count if pushes else 0
         for e in range(3):
             u[a + e], counts[a + e] = motion[e], count
             for m in range(count):

@@ -16,7 +16,7 @@ from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
 from ..._numeric.loops import assign, largest_diagonal, nonzero
 from ..._numeric.semidefinite import factor
-from ..._numeric.tolerances import RANK, ROUNDOFF
+from ..._numeric.tolerances import NOISE, RANK, ROUNDOFF
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
@@ -63,6 +63,7 @@ def rows_of_touching(work, v, candidates, certain):
         b, i = 3 * k, contacts[k]
         follow_surface(work, i)
         motion_of_contact(work, i, rows[b : b + 3], velocity[k], free[b : b + 3], surface)
+        drop_rounding(work, free[b : b + 3])
         mu[k], held[k] = work.friction[i], work.bilateral[i] != 0
         if keeps_sliding(work, i, velocity[k, 0], velocity[k, 1], certain) or candidates[i] == SLIDES:
             slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
@@ -73,9 +74,25 @@ def rows_of_touching(work, v, candidates, certain):
         metres = work.joint_metres[scalars[m]]
         rows[3 * nc + m, scalars[m]] = metres
         free[3 * nc + m] = metres * work.acceleration[scalars[m]]
+        drop_rounding(work, free[3 * nc + m : 3 * nc + m + 1])
     return Touching(
         contacts, joints, scalars, rows, velocity, free, coulomb_law(mu, slip, held, lower, upper)
     )
+
+
+@inlined
+def drop_rounding(work, free):
+    """Set entries of accelerations `free` that are rounding errors of the others, or of gravity, to zero.
+
+    Where nothing else acts on the rows, no forces would satisfy the laws to rounding of such errors: rows
+    that no force moves cannot be corrected, and rows of one joint contradict each other.
+    """
+    size = work.gravity + LEAST_SIZE
+    for a in range(len(free)):
+        size += abs(free[a])
+    for a in range(len(free)):
+        if abs(free[a]) <= NOISE * size:
+            free[a] = 0.0
 
 
 @inlined

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...checks import output_file
+from ...checks import as_tuple, output_file
 from ...contact_space.many_solution import ManySolution
 from ...contact_space.problem import ImpactProblem
 from ...contact_space.solution import Solution
+from ...errors import InputError
 from ...scene.trajectory import Trajectory
 from .motions import energy, forces
 from .one_impact import Solved, energy_ledger, hodograph, velocities
@@ -66,14 +67,18 @@ def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
     return figure
 
 
-def forces_figure(trajectory: Trajectory, contacts: Sequence[str], title: str = "") -> Figure:
+def forces_figure(trajectory: Trajectory, contacts: str | Sequence[str], title: str = "") -> Figure:
     """Return a figure of the forces of sustained contacts over time, one row per contact.
 
     Raises:
+        InputError: No contact is given.
         UnknownNameError: A contact that the scene does not have.
     """
     from matplotlib.figure import Figure
 
+    contacts = as_tuple("contacts", contacts, str, "the name of a contact")
+    if not contacts:
+        raise InputError("contacts: none given; the figure has a row for each", value=contacts)
     figure = Figure(figsize=(9.0, 0.8 + 1.7 * len(contacts)), layout="constrained")
     figure.suptitle(title)
     rows = figure.subplots(len(contacts), 1, sharex=True, squeeze=False)[:, 0]
