@@ -13,18 +13,19 @@ PANEL = 4
 @declared(FLOAT_ROWS, INTEGERS)
 @external
 def factorize(matrix, order):
-    """Replace a matrix (n, n) by its LU factors, fill its row order (n,); return whether it is regular.
+    """Replace a matrix (m, n), m ≥ n, by LU factors, fill its row order (n,); return whether it is regular.
 
-    A matrix that is not finite is not regular. The row order is always valid.
+    Step k exchanges rows k and order[k]. A matrix that is not finite is not regular. The row order is always
+    valid.
     """
-    size = len(order)
+    rows, size = matrix.shape
     for k in range(size):
         order[k] = k
     for first in range(0, size, PANEL):
         last = min(first + PANEL, size)
         for k in range(first, last):
             row = k
-            for a in range(k + 1, size):
+            for a in range(k + 1, rows):
                 if abs(matrix[a, k]) > abs(matrix[row, k]):
                     row = a
             order[k] = row
@@ -33,7 +34,7 @@ def factorize(matrix, order):
             if row != k:
                 for b in range(size):
                     matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
-            for a in range(k + 1, size):
+            for a in range(k + 1, rows):
                 matrix[a, k] /= matrix[k, k]
                 for b in range(k + 1, last):
                     matrix[a, b] -= matrix[a, k] * matrix[k, b]
@@ -41,7 +42,7 @@ def factorize(matrix, order):
             for k in range(first, a):
                 add(matrix[a, last:], -matrix[a, k], matrix[k, last:])
         if last < size:
-            _subtract_panel(matrix, first, matrix, last, last, size)
+            _subtract_panel(matrix, first, matrix, last, last, rows)
     return True
 
 
