@@ -102,7 +102,7 @@ class SmoothSteps:
                     "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
                     value=work.rtol,
                 )
-            implicit = self._is_stiff(trial)
+            implicit = trial > work.stiff_length
             order = self._low_order() if trial == left and not implicit else 0
             work.method = step_dop853.IMPLICIT if implicit else order
             found = error, time, _ = self._attempt(t, trial, LARGEST[order])
@@ -170,8 +170,3 @@ class SmoothSteps:
         if not error > largest and not self._rims.jump(work.q0, work.q1):
             time = smooth_motion.finish(work, t, h, error)
         return error, time, directions
-
-    def _is_stiff(self, h: float) -> bool:
-        """Return whether a step of size h [s] has to be implicit."""
-        work = self._dynamics.work
-        return h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF
