@@ -84,7 +84,7 @@ def _set_start(work):
 
 @inlined
 def _set_stiffness(work, of_slip):
-    """Set the rate at which the direction of slip settles [1/s], and the step size above which it is stiff."""
+    """Set the rate at which the direction of slip settles [1/s], and the largest explicit step."""
     work.slip_stiffness = of_slip
     work.stiff_length = 1.0 / max(of_slip / STIFF_SLIP, work.drive_rate / stiff_drives.STIFF, TINY)
 
