@@ -93,8 +93,9 @@ def solve_factored(matrix, rights, order):
     """Call the kernels from Python."""
     if not lu.factorize(matrix, order):
         return False
-    for right in rights:
-        lu.substitute(matrix, order, right)
+    columns = rights.T.copy()
+    lu.substitute(matrix, order, columns)
+    rights[:] = columns.T
     return True
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from .._compile.jit import external, inlined
-from .products import add, dot
+from .products import add
 
 PANEL = 4
 """Number of pivots whose rows are subtracted from the other ones at once."""
@@ -71,22 +71,9 @@ def _subtract_panel(factors, first, rows, start, begin, end):
             add(rows[end - 1, start:], -factors[end - 1, k], rows[k, start:])
 
 
-@declared(FLOAT_ROWS, INTEGERS, FLOATS)
-@external
-def substitute(factors, order, right):
-    """Replace a right-hand side (n,) by the solution, given the result of `factorize`."""
-    size = len(order)
-    for k in range(size):
-        right[k], right[order[k]] = right[order[k]], right[k]
-    for a in range(size):
-        right[a] -= dot(factors[a, :a], right)
-    for a in range(size - 1, -1, -1):
-        right[a] = (right[a] - dot(factors[a, a + 1 :], right[a + 1 :])) / factors[a, a]
-
-
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @external
-def substitute_all(factors, order, right):
+def substitute(factors, order, right):
     """Replace right-hand sides (n, k) by the solutions (n, k), given the result of `factorize`."""
     size, columns = right.shape
     for a in range(size):

@@ -8,7 +8,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, decl
 from ..._compile.jit import inlined, jit
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, filled, largest, ones
-from ..._numeric.lu import factorize, substitute_all
+from ..._numeric.lu import factorize, substitute
 from ..._numeric.products import add, add_product, apply_symmetric, dot
 from ..._numeric.tolerances import RANK, ROUNDOFF, TINY
 
@@ -212,7 +212,7 @@ def changes_across(
     matrix, right, start, moved, regular = stage_equations(*equations, *slopes, x)
     rates, order = right.reshape((len(matrix), x.shape[1])), np.empty(len(matrix), dtype=np.int64)
     if regular and factorize(matrix, order):
-        substitute_all(matrix, order, rates)
+        substitute(matrix, order, rates)
         at_end = weights, twice, modes, decay, power, turned, states, forces
         end, error = changes_at_end(h, *at_end, inverse, start, moved, rates)
         return end, error, True
@@ -287,7 +287,7 @@ def _turn(h, weights, twice, turned, turning, start):
             row[i * size + a] += 1.0
             assign(side[total:], start[i, turned[a]])
     factorize(matrix, order)
-    substitute_all(matrix, order, sides)
+    substitute(matrix, order, sides)
     for i in range(stages):
         for a in range(size):
             assign(start[i, turned[a]], sides[i * size + a, total:])
