@@ -93,8 +93,9 @@ def solve_factored(matrix, rights, order):
     """Call the kernels from Python."""
     if not lu.factorize(matrix, order):
         return False
-    for right in rights:
-        lu.substitute(matrix, order, right)
+    columns = rights.T.copy()
+    lu.substitute(matrix, order, columns)
+    rights[:] = columns.T
     return True
 
 
@@ -109,6 +110,18 @@ def test_a_system_that_is_factored_once_is_solved_for_every_right_hand_side(seed
     assert np.abs(rights - solutions).max() <= 1e-13 * condition * size
     singular = np.zeros((size, size))
     assert not solve_factored(singular, rights, np.empty(size, dtype=np.int64))
+
+
+@COMPILES
+@given(st.integers(0, 10**6), st.integers(1, 9), st.integers(0, 6))
+def test_factors_of_a_tall_matrix(seed, size, more):
+    matrix = np.random.default_rng(seed).normal(size=(size + more, size))
+    factors, order = matrix.copy(), np.empty(size, dtype=np.int64)
+    assert solve_factored(factors, np.empty((0, size)), order)
+    product = (np.tril(factors, -1) + np.eye(size + more, size)) @ np.triu(factors[:size])
+    for k in range(size - 1, -1, -1):
+        product[[k, order[k]]] = product[[order[k], k]]
+    assert product == pytest.approx(matrix, abs=1e-13)
 
 
 @pytest.mark.parametrize("place", [(0, 0), (1, 1), (2, 0)])

@@ -544,7 +544,9 @@ def test_new_forces_in_contact_need_no_evaluation():
     for k in range(30):
         stepper.step([0.1 * k, 0.0, 0.0], 1e-3)
         counts.append(stepper.trajectory.statistics["evaluations"])
-    assert set(np.diff(counts[10:])) <= {2, 3}  # the stages of the methods of orders 2 and 3
+    evaluations = np.diff(counts[10:])
+    assert set(evaluations) <= {2, 3, 5}  # the stages of the methods of orders 2 and 3, or of both
+    assert np.sum(evaluations == 5) <= 2
 
 
 @pytest.mark.parametrize("kind", COPIES)

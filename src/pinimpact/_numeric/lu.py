@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from .._compile.jit import external, inlined
-from .products import add, dot
+from .products import add
 
 PANEL = 4
 """Number of pivots whose rows are subtracted from the other ones at once."""
@@ -13,18 +13,19 @@ PANEL = 4
 @declared(FLOAT_ROWS, INTEGERS)
 @external
 def factorize(matrix, order):
-    """Replace a matrix (n, n) by its LU factors, fill its row order (n,); return whether it is regular.
+    """Replace a matrix (m, n), m ≥ n, by LU factors, fill its row order (n,); return whether it is regular.
 
-    A matrix that is not finite is not regular. The row order is always valid.
+    Step k exchanges rows k and order[k]. A matrix that is not finite is not regular. The row order is always
+    valid.
     """
-    size = len(order)
+    rows, size = matrix.shape
     for k in range(size):
         order[k] = k
     for first in range(0, size, PANEL):
         last = min(first + PANEL, size)
         for k in range(first, last):
             row = k
-            for a in range(k + 1, size):
+            for a in range(k + 1, rows):
                 if abs(matrix[a, k]) > abs(matrix[row, k]):
                     row = a
             order[k] = row
@@ -33,7 +34,7 @@ def factorize(matrix, order):
             if row != k:
                 for b in range(size):
                     matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
-            for a in range(k + 1, size):
+            for a in range(k + 1, rows):
                 matrix[a, k] /= matrix[k, k]
                 for b in range(k + 1, last):
                     matrix[a, b] -= matrix[a, k] * matrix[k, b]
@@ -41,7 +42,7 @@ def factorize(matrix, order):
             for k in range(first, a):
                 add(matrix[a, last:], -matrix[a, k], matrix[k, last:])
         if last < size:
-            _subtract_panel(matrix, first, matrix, last, last, size)
+            _subtract_panel(matrix, first, matrix, last, last, rows)
     return True
 
 
@@ -70,22 +71,9 @@ def _subtract_panel(factors, first, rows, start, begin, end):
             add(rows[end - 1, start:], -factors[end - 1, k], rows[k, start:])
 
 
-@declared(FLOAT_ROWS, INTEGERS, FLOATS)
-@external
-def substitute(factors, order, right):
-    """Replace a right-hand side (n,) by the solution, given the result of `factorize`."""
-    size = len(order)
-    for k in range(size):
-        right[k], right[order[k]] = right[order[k]], right[k]
-    for a in range(size):
-        right[a] -= dot(factors[a, :a], right)
-    for a in range(size - 1, -1, -1):
-        right[a] = (right[a] - dot(factors[a, a + 1 :], right[a + 1 :])) / factors[a, a]
-
-
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @external
-def substitute_all(factors, order, right):
+def substitute(factors, order, right):
     """Replace right-hand sides (n, k) by the solutions (n, k), given the result of `factorize`."""
     size, columns = right.shape
     for a in range(size):

@@ -33,6 +33,11 @@ COST_FILES = ("cost.png", "cost.json")
 ENSEMBLE_FILES = ("study.json", "summary.html")
 
 
+def writes(command: Any) -> Any:
+    """Add the options of a command that writes files, and the handling of its errors."""
+    return OUT(FORCE(JSON(QUIET(plain_errors(command)))))
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="pinimpact")
 def main() -> None:
@@ -57,11 +62,7 @@ def main() -> None:
 @click.option(
     "--law", default="poisson", show_default=True, help="Restitution law: poisson, energetic or newton."
 )
-@OUT
-@FORCE
-@JSON
-@QUIET
-@plain_errors
+@writes
 def demo(
     robot: str | None,
     named: str | None,
@@ -200,11 +201,7 @@ def _plain(text: str) -> float | str:
     "or .parquet.",
     metavar="FILE",
 )
-@OUT
-@FORCE
-@JSON
-@QUIET
-@plain_errors
+@writes
 def run(
     scene: Path,
     period: str | None,
@@ -328,11 +325,7 @@ def warmup(quiet: bool) -> None:
     help="Skip settings that take longer than this [s].",
 )
 @click.option("--all", "every", is_flag=True, help="Print all measured points.")
-@OUT
-@FORCE
-@JSON
-@QUIET
-@plain_errors
+@writes
 def cost(
     robot: str | None,
     target: float | None,

@@ -190,11 +190,10 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
 
 def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
     """Return the changes of energy by cause, and the energy residual, which is not rounded."""
-    energy, work_by_cause = trajectory.energy, trajectory.energy.by_cause()
-    values = [energy.total[-1] - energy.total[0], *(work[-1] for work in work_by_cause.values())]
-    names = ["kinetic and potential", *(f"work of {cause}" for cause in work_by_cause)]
-    changes = rounded(values, float(np.abs(energy.total).max()))
-    return [*zip(names, changes, strict=True), ("energy residual", energy.residual[-1])]
+    *causes, residual = trajectory.energy.changes().items()
+    names, values = zip(*causes, strict=True)
+    changes = rounded(values, float(np.abs(trajectory.energy.total).max()))
+    return [*zip(names, changes, strict=True), residual]
 
 
 def _stepped(trajectory: Trajectory, shown: int | None) -> list[RenderableType]:
@@ -221,14 +220,8 @@ def _cut(rows: Sequence[Any], shown: int | None) -> str:
 
 
 def _impact_row(impact: ImpactRecord) -> tuple[Any, ...]:
-    return (
-        f"{impact.time:.6f}",
-        impact.source,
-        -float(np.asarray(impact.problem.velocity)[2]),
-        float(np.linalg.norm(impact.solution.impulse)),
-        impact.solution.work.total,
-        ", ".join(impact.remarks),
-    )
+    time, *others = impact.summary
+    return f"{time:.6f}", *others, ", ".join(impact.remarks)
 
 
 def _energy(model: pin.Model, impact: ImpactRecord) -> Table:

@@ -57,6 +57,14 @@ class ImpactProblem:
 
     __repr__ = short_repr
 
+    def part(self, place: int) -> ImpactProblem:
+        """Return the problem of one of n contacts, by its index, without impulses at the others."""
+        rows, count = slice(3 * place, 3 * place + 3), len(np.asarray(self.velocity))
+        mu, e = (float(np.broadcast_to(x, count)[place]) for x in (self.friction, self.restitution))
+        surface = np.broadcast_to(np.asarray(self.surface_velocity, dtype=float), (count, 3))[place]
+        velocity = np.asarray(self.velocity, dtype=float)[place]
+        return ImpactProblem(np.asarray(self.delassus)[rows, rows], velocity, mu, e, self.law, surface)
+
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:
     """Return the `Inputs` of a problem after checks of shapes and types.

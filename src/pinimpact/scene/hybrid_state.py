@@ -53,8 +53,7 @@ class HybridState:
         length: Step size to try next [s].
         bounce: Predicted duration of a bounce that has just begun [s].
         cut_short: Whether the last step ended at a given time.
-        low_orders_from: Numbers of steps from which orders 5 and 3 may be tried.
-        easy: Whether order 2 may be tried.
+        low_orders_from: Numbers of steps from which orders 5, 3 and 2 may be tried.
         steps, rejected: Numbers of accepted and of rejected steps.
         marked: `steps`, `t` and `v` at the last time at which there was progress.
         pressed: Largest sum of the weight and the forces of the control at a check of friction so far [N].
@@ -95,8 +94,7 @@ class HybridState:
     length: float = 0.0
     bounce: float = math.inf
     cut_short: bool = False
-    low_orders_from: tuple[int, ...] = (0, 0)
-    easy: bool = False
+    low_orders_from: tuple[int, ...] = (0, 0, 0)
     steps: int = 0
     rejected: int = 0
     marked: tuple[int, float, Array] = (0, 0.0, np.zeros(0))

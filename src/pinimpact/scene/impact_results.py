@@ -116,4 +116,4 @@ def of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
 
 
 def _of_group(group: ImpactGroup, place: int, impulse: Array, axes: Array) -> tuple[ImpactProblem, Array]:
-    return group.part(place), impulse @ axes
+    return group.problem.part(place), impulse @ axes

@@ -49,18 +49,6 @@ class ImpactGroup:
             warnings.simplefilter("ignore", BoundReachedWarning)  # the run has issued it
             return solve_impact(self.problem, record=True, simultaneous=self.policy, **self.options)
 
-    def part(self, place: int) -> ImpactProblem:
-        """Return the part of the problem at one contact, by its index."""
-        problem, rows = self.problem, slice(3 * place, 3 * place + 3)
-        return ImpactProblem(
-            np.asarray(problem.delassus)[rows, rows],
-            np.asarray(problem.velocity)[place],
-            float(problem.friction[place]),
-            float(problem.restitution[place]),
-            problem.law,
-            np.asarray(problem.surface_velocity)[place],
-        )
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImpactRecord:
@@ -114,6 +102,13 @@ class ImpactRecord:
             whole, place = self.group
             return whole.solution.part(place)
         return solve_impact(self.problem, record=self.record)
+
+    @property
+    def summary(self) -> tuple[float, str, float, float, float]:
+        """Time [s], source, speed of approach [m/s], size of the impulse [N s] and work [J]."""
+        approach = -float(np.asarray(self.problem.velocity)[2])
+        impulse = float(np.linalg.norm(self.solution.impulse))
+        return self.time, self.source, approach, impulse, self.solution.work.total
 
     @property
     def remarks(self) -> list[str]:
@@ -303,6 +298,12 @@ class Energy:
         return {
             cause: getattr(self, cause) for cause in ("control", "joints", "friction", "surface", "impacts")
         }
+
+    def changes(self) -> dict[str, float]:
+        """Return the changes over the motion [J]: the total energy, work by cause and the residual."""
+        works = {f"work of {cause}": float(work[-1]) for cause, work in self.by_cause().items()}
+        total = float(self.total[-1] - self.total[0])
+        return {"kinetic and potential": total, **works, "energy residual": float(self.residual[-1])}
 
     @property
     def total(self) -> Array:

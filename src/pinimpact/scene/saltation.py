@@ -198,7 +198,8 @@ class Saltation:
             x = x - np.outer(rates[0] - rates[1], over @ x[: len(over)] / passing)
         else:
             ends = [slip for slip in minus.slips if later[slip.contact] == STICK]
-            turns = [slip for slip in minus.slips if _reversed(slip, plus, later)]
+            slides = {slip.contact: slip.direction for slip in plus.slips if later[slip.contact] == SLIP}
+            turns = [s for s in minus.slips if s.contact in slides and slides[s.contact] @ s.direction < 0.0]
             joints = np.flatnonzero((dry != 0.0) & ((later[count:] != 0) | (dry * sliding < 0.0)))
             lost = bool(((modes != 0) & ((later == 0) | (modes > later))).any())
             reversed_ = len(turns) > 0 or bool((dry * sliding < 0.0).any())
@@ -418,14 +419,6 @@ def _through_rest(
         if abs(across @ slip.rate) > REMAINS * abs(rate):
             return np.full_like(x, np.nan)
     return np.asarray(x - np.outer(rates[0] - rates[1], guard @ x / rate))
-
-
-def _reversed(slip: Slip, plus: ModeSlopes, later: Integers) -> bool:
-    """Whether a contact slips in the opposite direction afterwards."""
-    return any(
-        one.contact == slip.contact and later[one.contact] == SLIP and one.direction @ slip.direction < 0.0
-        for one in plus.slips
-    )
 
 
 def _onto(slopes: ModeSlopes, x: Array) -> Array:

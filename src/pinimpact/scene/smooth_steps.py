@@ -23,13 +23,9 @@ configuration (nq,) and velocity (nv,) where the next step starts if there is no
 HIGH_ORDER = 10
 """Number of steps before a lower order is tried again after its error was too large."""
 
-LOWEST, LOWEST_ERROR = 3, 0.1
-"""Number of the method of order 2, see `step_dop853`, and the largest error of its steps relative to the
-tolerance: steps that are cut short are many, and their errors add up. It is tried after one of order 3 with
-an eighth of this error, since the same change of the rates is four times the error there."""
-
-LARGEST = 1.0, 1.0, 1.0, LOWEST_ERROR
-"""Largest errors relative to the tolerance, by number of the explicit method."""
+LARGEST = 1.0, 1.0, 1.0, 0.1
+"""Largest errors relative to the tolerance, by number of the explicit method. Those of the lowest order add
+up, since steps that are cut short are many."""
 
 UNCHANGED = 0.1
 """Ratio of the errors of two successive trial steps above which the error has not decreased with the step
@@ -74,6 +70,8 @@ class SmoothSteps:
             return False, None
         state.bounce, memory = math.inf, self._dynamics.step_memory.copy(order)
         state.closed = state.closed and state.closed.under(memory.control_force, work.direction_speed)
+        if LARGEST[order] < error < math.inf:
+            self._postpone(order)
         if error > LARGEST[order] or time < state.t:
             return True, None
         return True, self._outcome((error, time, directions), left, state.length, memory)
@@ -102,18 +100,15 @@ class SmoothSteps:
                     "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
                     value=work.rtol,
                 )
-            implicit = self._is_stiff(trial)
+            implicit = trial > work.stiff_length
             order = self._low_order() if trial == left and not implicit else 0
             work.method = step_dop853.IMPLICIT if implicit else order
             found = error, time, _ = self._attempt(t, trial, LARGEST[order])
             if error > LARGEST[order]:
                 self._dynamics.check()
                 state.rejected += 1
-                if order == LOWEST:
-                    state.easy = False
-                elif order > 0:
-                    higher, later = state.low_orders_from[: order - 1], state.steps + HIGH_ORDER
-                    state.low_orders_from = (*higher, later, later)[:2]
+                if order > 0:
+                    self._postpone(order)
                 else:
                     natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                     # a transient of the drives that decays within the step leaves the same error in slightly
@@ -131,18 +126,20 @@ class SmoothSteps:
     def _low_order(self) -> int:
         """Return the number of the method to try for a step that ends at a given time."""
         state = self._state
-        order = bisect_right(state.low_orders_from, state.steps) if state.cut_short else 0
-        return LOWEST if order == LOWEST - 1 and state.easy else order
+        return bisect_right(state.low_orders_from, state.steps) if state.cut_short else 0
+
+    def _postpone(self, order: int) -> None:
+        """Postpone the use of a method of low order, and of the lower ones, after its error was too large."""
+        higher, later = self._state.low_orders_from[: order - 1], self._state.steps + HIGH_ORDER
+        self._state.low_orders_from = (*higher, later, later, later)[:3]
 
     def _outcome(
         self, found: tuple[float, float, Array | None], h: float, natural: float, memory: StepArrays
     ) -> Outcome:
         """Return a completed step of size h [s], from the results of `_attempt`."""
-        state, work, (error, time, directions) = self._state, self._dynamics.work, found
+        state, work, (_, time, directions) = self._state, self._dynamics.work, found
         if not work.regular:
             self._dynamics.check()
-        method = work.method
-        state.easy = method == LOWEST or (method == LOWEST - 1 and 8.0 * error <= LOWEST_ERROR)
         start = state.t, h, state.q, state.v, state.works, memory.dense_coefficients
         step = DenseStep(*start, self._charts, state.closed, directions)
         return step, natural, time, memory.q0, memory.v0
@@ -170,8 +167,3 @@ class SmoothSteps:
         if not error > largest and not self._rims.jump(work.q0, work.q1):
             time = smooth_motion.finish(work, t, h, error)
         return error, time, directions
-
-    def _is_stiff(self, h: float) -> bool:
-        """Return whether a step of size h [s] has to be implicit."""
-        work = self._dynamics.work
-        return h * work.slip_stiffness > step_radau.STIFF or h * work.drive_rate > stiff_drives.STIFF

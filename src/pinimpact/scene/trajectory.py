@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -198,13 +198,8 @@ class Trajectory:
 
     def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> Bools:
         """Return whether the motion determines the forces, () or (m,)."""
-        _check_side(side)
-        times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
-        found = np.ones(len(times), dtype=bool)
-        for k, time in enumerate(map(self._covered, times if self._segments else ())):
-            number = self._number(time, side)
-            found[k] = self._forces.unique(number, self._segments[number], time)
-        return found.reshape(np.shape(t))
+        found = [step is None or self._forces.unique(*step) for step in self._steps(t, side)]
+        return np.array(found, dtype=bool).reshape(np.shape(t))
 
     def center_of_pressure(
         self, contacts: str | Sequence[str], t: ArrayLike, side: Literal["left", "right"] = "right"
@@ -248,26 +243,23 @@ class Trajectory:
     def _of_contact(
         self, contact: str, t: ArrayLike, side: str, part: Callable[[Forces, int], Array]
     ) -> Array:
-        i = self._contact(contact)
-
-        def of(forces: Forces | None) -> Array:
-            return np.zeros(3) if forces is None or i is None else part(forces, i)
-
-        return self._of_times(t, side, of)
+        i, zero = self._contact(contact), np.zeros(3)
+        return self._of_times(t, side, lambda f: zero if f is None or i is None else part(f, i))
 
     def _of_times(self, t: ArrayLike, side: str, part: Callable[[Forces | None], Array]) -> Array:
         """Return `part(forces)` at one time, or stacked for several times [s]."""
-        _check_side(side)
-        found = []
-        times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
-        for time in map(self._covered, times):
-            number = self._number(time, side) if self._segments else None
-            at = None if number is None else self._forces.at(number, self._segments[number], time)
-            found.append(part(at))
+        found = [part(None if step is None else self._forces.at(*step)) for step in self._steps(t, side)]
         if np.ndim(t) == 0:
             return found[0]
         none = np.asarray(part(None))  # has the shape also of no times
         return np.array(found, dtype=none.dtype).reshape(len(found), *none.shape)
+
+    def _steps(self, t: ArrayLike, side: str) -> Iterator[tuple[int, DenseStep, float] | None]:
+        """Yield number, step and time for each time [s]; None if the trajectory has no steps."""
+        _check_side(side)
+        for time in np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist():
+            covered, number = self._covered(time), self._number(time, side)
+            yield (number, self._segments[number], covered) if self._segments else None
 
     def mode_at(self, source: str, t: float) -> str:
         """Return the mode of a contact, joint limit or joint at a time.
@@ -420,33 +412,15 @@ class Trajectory:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        energy = self.energy
-        rows = [("kinetic and potential", float(energy.total[-1] - energy.total[0]))]
-        rows += [(f"work of {cause}", float(work[-1])) for cause, work in energy.by_cause().items()]
-        rows.append(("energy residual", float(energy.residual[-1])))
         impacts = html_table(
             f"{self.duration:.6g} s, {counted(len(self.impacts), 'impact')}"
             + (f", the first {SHOWN}" if len(self.impacts) > SHOWN else ""),
             ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "energy [J]"),
-            [
-                (
-                    impact.time,
-                    impact.source,
-                    -float(np.asarray(impact.problem.velocity)[2]),
-                    float(np.linalg.norm(impact.solution.impulse)),
-                    impact.solution.work.total,
-                )
-                for impact in self.impacts[:SHOWN]
-            ],
+            [impact.summary for impact in self.impacts[:SHOWN]],
         )
-        changes = html_table("Energy, change over the run [J]", ("", ""), rows)
-        return (
-            impacts
-            + changes
-            + html_lines(
-                [self.termination, *map(str, self.stepped), *map(str, records.group_notes(self.notes))]
-            )
-        )
+        changes = html_table("Energy, change over the run [J]", ("", ""), self.energy.changes().items())
+        ends = [self.termination, *map(str, self.stepped), *map(str, records.group_notes(self.notes))]
+        return impacts + changes + html_lines(ends)
 
 
 def _check_side(side: str) -> None:

@@ -174,16 +174,9 @@ def _parts(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> dict[str, Any]
 
 def _segments(arrays: Mapping[str, Any]) -> list[DenseStep]:
     segments = []
-    for i, (start, end, h) in enumerate(arrays["segment_times"].tolist()):
-        segment = DenseStep(
-            start,
-            h,
-            arrays["segment_q"][i],
-            arrays["segment_v"][i],
-            arrays["segment_w"][i],
-            arrays["segment_dense"][i],
-            arrays["joints"],
-        )
+    rows = (arrays[f"segment_{name}"] for name in ("q", "v", "w", "dense"))
+    for (start, end, h), q, v, w, dense in zip(arrays["segment_times"].tolist(), *rows, strict=True):
+        segment = DenseStep(start, h, q, v, w, dense, arrays["joints"])
         segment.end = end
         segments.append(segment)
     return segments

@@ -160,20 +160,12 @@ class Ensemble:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # equal indices in all resamples: no interval exists
             errors = indices.bootstrap(n_resamples=RESAMPLES)
-        parts = {"first order": "first_order", "total": "total_order"}
-        return {
-            parameter: {
-                name: _finite(
-                    Estimate(
-                        getattr(indices, part)[k],
-                        getattr(errors, part).confidence_interval.low[k],
-                        getattr(errors, part).confidence_interval.high[k],
-                    )
-                )
-                for name, part in parts.items()
-            }
-            for k, parameter in enumerate(self.parameters)
-        }
+        found: dict[str, Any] = {parameter: {} for parameter in self.parameters}
+        for name, part in (("first order", "first_order"), ("total", "total_order")):
+            values, interval = getattr(indices, part), getattr(errors, part).confidence_interval
+            for parameter, *numbers in zip(self.parameters, values, *interval, strict=True):
+                found[parameter][name] = _finite(Estimate(*numbers))
+        return found
 
     def save_summary(self, path: str | Path) -> Path:
         """Write quantiles, frequencies, Sobol' indices and plots as one HTML page, and return its path."""

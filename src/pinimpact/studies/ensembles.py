@@ -429,11 +429,6 @@ def _begin_worker() -> None:
 def _columns(rows: list[dict[str, Any]]) -> Columns:
     """Return rows as arrays by name; missing numbers are NaN, missing texts empty."""
     names = dict.fromkeys(name for row in rows for name in row)
-    found: Columns = {}
-    for name in names:
-        values = [row[name] for row in rows if name in row]
-        text = any(isinstance(value, str) for value in values)
-        missing: Any = "" if text else math.nan
-        column = [row.get(name, missing) for row in rows]
-        found[name] = np.array(column, dtype=object if text else float)
-    return found
+    text = {name: any(isinstance(row.get(name), str) for row in rows) for name in names}
+    columns = {name: [row.get(name, "" if text[name] else math.nan) for row in rows] for name in names}
+    return {name: np.array(x, dtype=object if text[name] else float) for name, x in columns.items()}

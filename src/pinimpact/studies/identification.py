@@ -107,13 +107,7 @@ def identify(
         UnknownNameError: An unknown parameter, contact, joint, law or loss.
     """
     if trajectories is not None:
-        others = {
-            "found": found,
-            "covariance": covariance,
-            "contact": contact,
-            "fixed": fixed,
-            "group": group,
-        }
+        others = dict(found=found, covariance=covariance, contact=contact, fixed=fixed, group=group)
         return _of_motions(trajectories, scene, free, law, loss, executor, restart, others)
     joints = () if scene is None else single_joints(scene.model)
     bounds = _checked(free, RANGES | STIFFENING, scene, joints)

@@ -26,14 +26,7 @@ if TYPE_CHECKING:
     from ..visual.html_replay import Replay
 
 
-AXES = {
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "+z": (0.0, 0.0, 1.0),
-    "-z": (0.0, 0.0, -1.0),
-}
+AXES = {s + "xyz"[k]: tuple(sign * np.eye(3)[k]) for k in range(3) for s, sign in (("+", 1.0), ("-", -1.0))}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -212,7 +212,7 @@ def _flights(poses: Poses, sigma: Array, body: Body) -> list[slice]:
             start += 1
             continue
         flight = fit_flight(*poses.part(slice(start, stop)), poses.t[stop - 1], body)
-        if _worst(flight.residuals, sigma) > LIMIT:
+        if (np.abs(flight.residuals) / np.repeat(sigma, 3)).max() > LIMIT:
             start += 1
             continue
         while stop < count:
@@ -232,10 +232,6 @@ def _is_parabola(poses: Poses, frames: slice, sigma: float, body: Body) -> bool:
     path = poses.com[frames] - np.outer(0.5 * dt**2, body.gravity)
     line = np.column_stack([np.ones_like(dt), dt])
     return bool(np.abs(path - line @ (np.linalg.pinv(line) @ path)).max() <= LIMIT * sigma)
-
-
-def _worst(residuals: Array, sigma: Array) -> float:
-    return float((np.abs(residuals) / np.repeat(sigma, 3)).max())
 
 
 def _first_beyond(flight: Flight, poses: Poses, stop: int, sigma: Array, body: Body) -> int:

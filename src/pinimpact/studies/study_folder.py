@@ -33,15 +33,8 @@ STUDY = "study.json"
 def digest(sampling: Sampling, settings: Mapping[str, Any]) -> str:
     """Return a digest of all that determines a study's rows: scene, start, distributions, seed, settings."""
     drawn = sampling.draw(0, min(sampling.samples, 16))  # the first samples represent the distributions
-    about = [
-        sampling.names,
-        sampling.samples,
-        sampling.seed,
-        sampling.design,
-        sampling.q0,
-        sampling.v0,
-        drawn,
-    ]
+    about = [sampling.names, sampling.samples, sampling.seed, sampling.design]
+    about += [sampling.q0, sampling.v0, drawn]
     parts = _content([about, sampling.scene, settings], {})
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -208,14 +201,10 @@ class StudyFolder:
 
 def joined(chunks: list[Columns]) -> Columns:
     """Return the rows of all chunks; a column that one lacks is NaN or empty there."""
-    names = dict.fromkeys(name for chunk in chunks for name in chunk)
     found = {}
-    for name in names:
-        parts = []
-        kind = next(chunk[name].dtype for chunk in chunks if name in chunk)
-        for chunk in chunks:
-            count = len(next(iter(chunk.values())))
-            empty = np.full(count, np.nan) if kind.kind in "fiu" else np.full(count, "", dtype=object)
-            parts.append(chunk.get(name, empty))
+    for name in dict.fromkeys(name for chunk in chunks for name in chunk):
+        kind = next(chunk[name].dtype.kind for chunk in chunks if name in chunk)
+        missing = np.array([np.nan] if kind in "fiu" else [""], dtype=None if kind in "fiu" else object)
+        parts = [chunk.get(name, np.repeat(missing, len(chunk["sample"]))) for chunk in chunks]
         found[name] = np.concatenate(parts)
     return found

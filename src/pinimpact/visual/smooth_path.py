@@ -43,20 +43,13 @@ def parts_at(problem: ImpactProblem, solution: ManySolution) -> list[Solved]:
     A problem solved without ``record=True`` is solved again. Options of the policy are not known here, so the
     path is used only if the impulses are the same.
     """
-    path, count = solution.path, len(solution.velocity)
+    path = solution.path
     if path is None:
         again = solve_impact(problem, record=True, simultaneous=solution.simultaneous)
         path = again.path if np.array_equal(again.impulse, solution.impulse) else None
     whole = replace(solution, path=path if path is not None and len(path.clock) > 1 else None)
-    delassus, velocity = (np.asarray(x, dtype=float) for x in (problem.delassus, problem.velocity))
-    surface = np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (count, 3))
-    friction, restitution = (np.broadcast_to(x, count) for x in (problem.friction, problem.restitution))
-    parts = []
-    for k in range(count):
-        own, mu, e = slice(3 * k, 3 * k + 3), float(friction[k]), float(restitution[k])
-        one = ImpactProblem(delassus[own, own], velocity[k], mu, e, solution.law, surface[k])
-        parts.append(Solved(one, whole.part(k)))
-    return parts
+    used = replace(problem, law=solution.law)
+    return [Solved(used.part(k), whole.part(k)) for k in range(len(solution.velocity))]
 
 
 def invariant_directions(problem: ImpactProblem) -> Array:

@@ -34,6 +34,7 @@ from .propagation_state import (
     System,
     begin_to_slip,
     loads,
+    open_contact,
     stick,
 )
 from .tolerances import AHEAD, NEGLIGIBLE, SAME, UNTURNED
@@ -285,10 +286,7 @@ def _admit(system, state, unit, weight, cap, p, forces):
             for i in range(3 * n):
                 size += abs(w[z, i]) * scale
             if forces[z] <= 0.0 and rise > NEGLIGIBLE * size:
-                state.normal[j] = OPEN
-                state.tangent[j] = FREE
-                state.indentation[j] = 0.0
-                state.deepest[j] = 0.0
+                open_contact(state, j)
                 moves = True
             elif forces[z] >= cap[j] and rise < -NEGLIGIBLE * size:
                 state.normal[j] = LOADING

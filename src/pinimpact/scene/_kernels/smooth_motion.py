@@ -10,7 +10,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, TWO_
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign, filled
 from ..._numeric.products import apply_symmetric, dot
-from ..._numeric.tolerances import EPS
+from ..._numeric.tolerances import EPS, TINY
 from . import dynamics, slip, step_dop853, stiff_drives
 from .approach import touches
 from .constraint_drift import constraint_drift
@@ -44,8 +44,8 @@ def begin(work, t, q, v):
     assign(rates[0, :n], v)
     dynamics.evaluate_anew(work, t, rates[0, n:])
     slip.turn_references(work, work.contact_velocity)
-    _set_start(work)
     work.drive_rate = stiff_drives.rate_of_drives(work)
+    _set_start(work)
     guess = math.inf
     if len(gaps) == 0:
         return guess
@@ -76,10 +76,17 @@ def _set_start(work):
     for m in range(n):
         work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
     record_sample(work, 0, 0.0)
-    work.slip_stiffness = slip.stiffness_of_slip(work)
+    _set_stiffness(work, slip.stiffness_of_slip(work))
     work.slip_ends = _slip_ends(work, rates[0])
     work.previous_length = 0.0
     work.evaluated = work.active_contacts + work.active_scalars > 0
+
+
+@inlined
+def _set_stiffness(work, of_slip):
+    """Set the rate at which the direction of slip settles [1/s], and the largest explicit step."""
+    work.slip_stiffness = of_slip
+    work.stiff_length = 1.0 / max(of_slip / STIFF_SLIP, work.drive_rate / stiff_drives.STIFF, TINY)
 
 
 @inlined
@@ -210,7 +217,7 @@ def finish(work, t, h, error):
             assign(work.start_gaps[i], work.end_gaps[i])
         for k in range(work.spheres):
             assign(work.start_spheres[k], work.end_spheres[k])
-        work.slip_stiffness = stiffness
+        _set_stiffness(work, stiffness)
         slip.turn_references(work, velocity)
         work.sample_margins[0] = work.end_margin
         work.slip_ends = math.inf
@@ -255,8 +262,7 @@ def step_under(work, tau, t, h, largest):
     """
     if not replace_force(work, tau):
         return math.nan, -math.inf
-    stiff = h * work.slip_stiffness > STIFF_SLIP or h * work.drive_rate > stiff_drives.STIFF
-    if stiff or BEYOND * work.slip_ends < h:
+    if h > min(work.stiff_length, BEYOND * work.slip_ends):
         return math.inf, -math.inf
     return explicit_step(work, t, h, largest)
 

@@ -18,7 +18,7 @@ from ..._compile.declared import (
 )
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign, filled, flags, repeated
-from ..._numeric.lu import factorize, substitute_all
+from ..._numeric.lu import factorize, substitute
 from ..._numeric.products import add, add_product
 from ..._numeric.tolerances import ROUNDING, SETTLED, TINY
 from ...robot._kernels.configuration_slopes import force_slopes
@@ -132,7 +132,7 @@ def iterate(law, places, changes, course, otherwise, v_end, impulses, forces):
                 if jacobian[a, j] != 0.0:
                     add(v_end[j], jacobian[a, j], impulses[a])
         factorize(matrix, order)
-        substitute_all(matrix, order, v_end)
+        substitute(matrix, order, v_end)
         passed[:, :] = 0.0
         add_product(jacobian, v_end, passed)
         _subtract(stiff, passed, impulses)

@@ -170,7 +170,7 @@ def add_response(h, driven, changes):
             right[i * k + c] = changes[i, n + index[c]]
             for d in range(k):
                 right[i * k + c] += response[d, index[c]] * force[i, d]
-    substitute(factors, order, right)
+    substitute(factors, order, right.reshape((s * k, 1)))
     for i in range(s):
         for c in range(k):
             for j in range(s):
@@ -197,7 +197,7 @@ def filter_error(h, driven, error):
         matrix[c, c] += 1.0
     if not factorize(matrix, order):
         return
-    substitute(matrix, order, right)
+    substitute(matrix, order, right.reshape((k, 1)))
     for c in range(k):
         force = stiffness[c] * error[index[c]] + (damping[c] + step * stiffness[c]) * right[c]
         add(error[n:], -step * force, response[c])

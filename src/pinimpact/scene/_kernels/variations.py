@@ -7,9 +7,9 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.least_norm import least_norms
-from ..._numeric.loops import assign, filled, ones
-from ..._numeric.lu import factorize, substitute_all
-from ..._numeric.products import add, add_product, apply_symmetric
+from ..._numeric.loops import assign, filled, largest, ones
+from ..._numeric.lu import factorize, substitute
+from ..._numeric.products import add, add_product, apply_symmetric, dot
 from ..._numeric.tolerances import RANK, ROUNDOFF, TINY
 
 
@@ -111,34 +111,22 @@ def _fill_lines(h, unique, by_state, response, mass, lines):
             if r < nv:
                 mass[r, r] = 1.0
         return True
-    effect, order, largest = response.copy(), np.empty(nv, dtype=np.int64), 0.0
+    factors, order, least = response.copy(), np.empty(m, dtype=np.int64), 0.0
     for r in range(nv):
-        order[r] = r
-        for k in range(m):
-            largest = max(largest, abs(effect[r, k]))
+        least = max(least, ROUNDOFF * largest(response[r]))
+    if not factorize(factors, order):
+        return False
     for k in range(m):
-        pivot = k
-        for r in range(k + 1, nv):
-            if abs(effect[r, k]) > abs(effect[pivot, k]):
-                pivot = r
-        if not abs(effect[pivot, k]) > ROUNDOFF * largest:
+        if not abs(factors[k, k]) > least:
             return False
-        order[k], order[pivot] = order[pivot], order[k]
-        for c in range(m):
-            effect[k, c], effect[pivot, c] = effect[pivot, c], effect[k, c]
-        for r in range(k + 1, nv):
-            effect[r, k] /= effect[k, k]
-            for c in range(k + 1, m):
-                effect[r, c] -= effect[r, k] * effect[k, c]
     lines[:, :] = 0.0
     for r in range(m, nv):
         y = mass[r]
-        y[order[r]] = 1.0
+        y[r] = 1.0
         for k in range(m - 1, -1, -1):
-            part = effect[r, k]
-            for c in range(k + 1, m):
-                part += effect[c, k] * y[order[c]]
-            y[order[k]] = -part
+            y[k] = -factors[r, k] - dot(y[k + 1 : m], factors[k + 1 : m, k])
+        for k in range(m - 1, -1, -1):
+            y[k], y[order[k]] = y[order[k]], y[k]
     for k in range(m):
         for c in range(2 * nv):
             lines[k, c] = by_state[nv + k, c] / h
@@ -224,7 +212,7 @@ def changes_across(
     matrix, right, start, moved, regular = stage_equations(*equations, *slopes, x)
     rates, order = right.reshape((len(matrix), x.shape[1])), np.empty(len(matrix), dtype=np.int64)
     if regular and factorize(matrix, order):
-        substitute_all(matrix, order, rates)
+        substitute(matrix, order, rates)
         at_end = weights, twice, modes, decay, power, turned, states, forces
         end, error = changes_at_end(h, *at_end, inverse, start, moved, rates)
         return end, error, True
@@ -299,7 +287,7 @@ def _turn(h, weights, twice, turned, turning, start):
             row[i * size + a] += 1.0
             assign(side[total:], start[i, turned[a]])
     factorize(matrix, order)
-    substitute_all(matrix, order, sides)
+    substitute(matrix, order, sides)
     for i in range(stages):
         for a in range(size):
             assign(start[i, turned[a]], sides[i * size + a, total:])

@@ -157,6 +157,7 @@ class SceneWorkspace(Workspace):
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("rate at which the direction of slip settles, at the start [1/s]; see `step_radau`")
     slip_ends = real("estimated time until the first slip ends [s]; infinite if none slows down")
+    stiff_length = real("step size above which steps are implicit [s], see `step_radau` and `stiff_drives`")
     drive_rate = real("rate at which the drives settle, at the start of the motion [1/s]; see `stiff_drives`")
     previous_length = real("length of the previous step [s], 0 if there is none")
     previous_error = real("error of the previous step relative to the tolerance")
