@@ -652,7 +652,7 @@ def solved(mass, jacobian, free, mu, compliance, impulse, begin=None, course=Non
     law = Law(mu, np.zeros((nc, 2)), np.zeros(nc), np.full(nc, np.inf), np.zeros(nc, dtype=bool), none, none)
     problem = VelocityProblem(mass, np.linalg.inv(mass), tree, *every, free, law, compliance)
     return step_impulses(
-        *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11),
+        *(problem, np.ones(len(mu), dtype=bool), tree, SOFTEST, 1e-11, 0.0),
         *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),
         np.empty((2, 0, n)) if course is None else course,
     )

@@ -468,7 +468,8 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
     free_velocity(h, v, work.acceleration, system, predicted, v_end)
     velocities(rows, offset, v_end, free)
     problem, active = contact_problem(work, h, system, rows, found, slow, free)
-    given = SOFTEST, SETTLED, begin, change, found.impulse, found.course
+    noise = work.touching_gap / h
+    given = SOFTEST, SETTLED, noise, begin, change, found.impulse, found.course
     residual = step_impulses(problem, active, system.tree, *given)
     add_change(work, system, change, v_end)
     if mark_struck(rows, system, active, found):
@@ -481,7 +482,7 @@ def attempt(work, t, h, q, v, strikes, system, rows, begin, pushed, found, bent)
             row = first_row(len(rows.contacts), i)
             active[i] = active[i] and rows.counts[row] > 0 and found.struck[rows.columns[row, 0]]
         again = np.empty(n), np.empty(found.course.shape), begin.copy(), np.empty(nv)
-        given = SOFTEST, SETTLED, again[2], again[3], again[0], again[1]
+        given = SOFTEST, SETTLED, noise, again[2], again[3], again[0], again[1]
         residual = max(residual, step_impulses(problem, active, system.tree, *given))
         replace_struck(rows, found, begin, change, again)
         add_change(work, system, change, v_end)

@@ -65,4 +65,4 @@ def least_displacement(system, rows, displacement, pushes):
         *(free, law_of_steps(none, lower, upper), none),
     )
     begin, active, unknown = np.zeros(len(displacement)), flags(n, True), np.empty((2, 0, n))
-    step_impulses(problem, active, system.tree, LITTLE, SETTLED, begin, displacement, pushes, unknown)
+    step_impulses(problem, active, system.tree, LITTLE, SETTLED, 0.0, begin, displacement, pushes, unknown)

@@ -11,7 +11,7 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.augmented_lagrangian import solve_velocities
 from ..._numeric.augmented_newton import VelocityProblem, law_of_steps
 from ..._numeric.coulomb_problem import CoulombProblem, solve_compliant, solve_coulomb
-from ..._numeric.loops import assign, filled
+from ..._numeric.loops import assign, filled, largest
 from ..._numeric.products import products
 from ..._numeric.semidefinite import invert_definite
 from ..._numeric.tolerances import COMPUTED, LITTLE, STALLED
@@ -209,9 +209,12 @@ def problem_of(problem, island):
     return VelocityProblem(own_mass, own_inverse, first, own, where, lengths, given, law, soft)
 
 
-@declared(VelocityProblem, FLAGS, INTEGERS, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK, result=float)
+@declared(
+    *(VelocityProblem, FLAGS, INTEGERS, float, float, float, FLOATS, FLOATS, FLOATS, FLOAT_STACK),
+    result=float,
+)
 @jit
-def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse, course):
+def step_impulses(problem, active, tree, part, accuracy, noise, begin, change, impulse, course):
     """Compute the impulses of a step; return the residual of Coulomb's law relative to u_free. (16.2)
 
     Of several solutions it is nearly the limit of small compliances.
@@ -222,6 +225,7 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse,
         tree: (nv,) number of the tree that each velocity belongs to.
         part: See `solve_velocities`.
         accuracy: Relative accuracy, see `solve_velocities`.
+        noise: Rounding error of u_free [m/s]; residuals of islands with smaller ones are not counted.
         begin: (nv,) warm start: change of the velocities; overwritten with that for the next problem.
         change: (nv,) is overwritten with the change of velocities by the impulses.
         impulse: (n,) is overwritten with the impulses.
@@ -246,7 +250,9 @@ def step_impulses(problem, active, tree, part, accuracy, begin, change, impulse,
         for a in range(len(moves)):
             start[a] = begin[moves[a]]
         own, steps = problem_of(problem, island), np.zeros((2, course.shape[1], len(rows)))
-        worst = max(worst, solve_island(own, part, accuracy, start, moved, found, steps))
+        residual = solve_island(own, part, accuracy, start, moved, found, steps)
+        if largest(own.free) > noise:
+            worst = max(worst, residual)
         for a in range(len(rows)):
             impulse[rows[a]] = found[a]
             course[:, :, rows[a]] = steps[:, :, a]
