@@ -74,8 +74,8 @@ def struck(model, data, contact, seed):
             return q, v, d
 
 
-def check(model, data, q, v, contact, d):
-    """Compare all derivatives with differences of `impact`."""
+def check(model, data, q, v, contact, d, surfaces=True):
+    """Compare all derivatives with differences of `impact`; those by the surface are optional."""
     nv = model.nv
 
     def after(q, v, contact=contact):
@@ -93,7 +93,7 @@ def check(model, data, q, v, contact, d):
     by_friction = slope(lambda e: after(q, v, replace(contact, friction=contact.friction + e[0])), 1)[:, 0]
     pairs = [(d.dv_dq, d.dP_dq, by_q), (d.dv_dv, d.dP_dv, by_v)]
     pairs.append((d.dv_dfriction, d.dP_dfriction, by_friction))
-    if isinstance(contact.plane, (Plane, Sphere)):
+    if isinstance(contact.plane, (Plane, Sphere)) and surfaces:
         pairs.append((d.dv_dsurface, d.dP_dsurface, slope(surface, 6)))
     if not callable(contact.restitution):
         by_e = slope(lambda e: after(q, v, replace(contact, restitution=contact.restitution + e[0])), 1)
@@ -499,6 +499,67 @@ def test_robot_of_one_joint(friction, law):
     assert d.dv_dv[0, 0] == pytest.approx(-0.5, abs=1e-15)
     assert d.dv_drestitution[0] == pytest.approx(3.0, abs=1e-14)
     assert d.dv_dq[0, 0] == d.dv_dfriction[0] == 0.0
+
+
+LEVERS = {"newton": lambda r: 1.0, "poisson": lambda r: r, "energetic": np.sqrt}
+"""v⁺/(−e v) of a robot of one joint, by the ratio r of the force's levers in restitution and compression."""
+
+
+@pytest.mark.parametrize("law", LEVERS)
+def test_pendulum_with_friction(law):
+    """Its tip stops slipping where compression ends. The levers of the force are |J_n| ± μ|J_t|."""
+    model, friction, e, v = pin.Model(), 0.4, 0.5, np.array([2.0])
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.5, 0.1, 0.1), pin.SE3.Identity())
+    x, z = 0.5, -0.2
+    place = pin.SE3(np.eye(3), np.array([x, 0.0, z]))
+    model.addFrame(pin.Frame("tip", joint, 0, place, pin.FrameType.OP_FRAME))
+
+    def after(q, v=v, friction=friction, e=e):
+        normal, tangent = abs(x * np.cos(q) + z * np.sin(q)), abs(z * np.cos(q) - x * np.sin(q))
+        return -e * v * LEVERS[law]((normal - friction * tangent) / (normal + friction * tangent))
+
+    q = np.array([0.3])
+    contact = Contact("tip", Plane(), friction, e, law)
+    d = pinimpact.impact_derivatives(model, model.createData(), q, v, contact)
+    assert d.boundary == Boundary.RANK
+    assert d.v == pytest.approx(after(q), abs=1e-14)
+    assert close(d.dv_dq, slope(lambda s: after(q + s), 1), 1e-11)
+    assert close(d.dv_dv, slope(lambda s: after(q, v + s), 1), 1e-11)
+    assert close(d.dv_dfriction, slope(lambda s: after(q, v, friction + s), 1)[:, 0], 1e-11)
+    assert close(d.dv_drestitution, slope(lambda s: after(q, v, friction, e + s), 1)[:, 0], 1e-11)
+
+
+@pytest.mark.parametrize("law", LEVERS)
+@pytest.mark.parametrize("count", [1, 2])
+def test_robots_of_few_joints(count, law):
+    """Slip and compression end together: the tip moves in fewer directions than it has components."""
+    found = 0
+    for seed in range(60):
+        rng, model, joint = np.random.default_rng(seed), pin.Model(), 0
+        for kind in (pin.JointModelRX(), pin.JointModelRY())[:count]:
+            joint = model.addJoint(joint, kind, pin.SE3(np.eye(3), 0.2 * rng.normal(size=3)), f"{joint}")
+            body = pin.Inertia.FromBox(*rng.uniform(0.2, 1.0, 4))
+            model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        place = pin.SE3(np.eye(3), 0.5 * rng.normal(size=3))
+        model.addFrame(pin.Frame("tip", joint, 0, place, pin.FrameType.OP_FRAME))
+        q, v, data = rng.normal(size=count), 2.0 * rng.normal(size=count), model.createData()
+        contact = Contact("tip", Plane(normal=rng.normal(size=3)), rng.uniform(0.05, 0.5), 0.6, law)
+        hit = pinimpact.impact(model, data, q, v, contact)
+        near = pinimpact.Flag.NEAR_JUMP | pinimpact.Flag.NEAR_STICK_THRESHOLD
+        if hit.solution.flags & near or not hit.solution.flags & pinimpact.Flag.SLIP_RESUMED:
+            continue
+        found += 1
+        d = pinimpact.impact_derivatives(model, data, q, v, contact)
+        assert d.boundary == Boundary.RANK
+        assert np.isnan(d.dv_dsurface).all()
+        check(model, data, q, v, contact, d, surfaces=False)
+        w = pinimpact.contact_matrices(model, data, q, contact)
+        problem = ImpactProblem(w.delassus, w.velocity(v), contact.friction, 0.6, law)
+        of_velocity = pinimpact.solve_impact(problem, derivatives=True).derivatives
+        assert of_velocity.boundary == Boundary.RANK | Boundary.EVENTS_COINCIDE
+        assert np.isnan(of_velocity.dv_dv).all()
+    assert found > 3
 
 
 @pytest.mark.parametrize("held", [False, True])

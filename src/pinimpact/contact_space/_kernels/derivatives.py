@@ -37,6 +37,7 @@ from .sensitivities import (
     PATH,
     ROW,
     SKEW,
+    STOP,
     V1,
     V2,
     V3,
@@ -61,6 +62,10 @@ ALL, ALL_BUT_E = np.int64(SLOPES), np.int64(BY_E)
 START_AT_REST, STICK_THRESHOLD, EVENTS_COINCIDE, JUMP, GRAZING, BOUND, RANK = (
     np.int64(1 << i) for i in range(7)
 )
+
+WITHIN_RANGE = np.int64(1 << 20)
+"""Flag of `differentiate_into`: the derivatives hold for changes of v° within the range of W. Slip and
+compression end together after these, but not after others."""
 
 GROWTH = 50.0
 """Largest ratio of speeds on a panel of two moves: the square changes by e⁸, which twelve nodes integrate."""
@@ -104,7 +109,7 @@ def _at_event(problem, works, values, p1, p2, p3, q1, q2):
     if problem.mu > 0.0:  # slip depends on μ and A through μA only
         per = 1.0 / problem.mu
         mean, half = 0.5 * (problem.a11 + problem.a22), 0.5 * (problem.a11 - problem.a22)
-        for row in (VT1, VT2, PATH):
+        for row in (VT1, VT2, PATH, STOP):
             total = mean * values[row + MEAN] + half * values[row + SKEW] + problem.a12 * values[row + CHI]
             values[row + MU] = per * total
     combine(values, NORMAL, problem.k1, VT1, problem.k2, VT2)
@@ -170,6 +175,13 @@ def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
     combine(values, P1, i11, VT1, i12, VT2)
     combine(values, P2, i12, VT1, i22, VT2)
     combine(values, P3, 1.0, END, 0.0, END)
+    if problem.flat and problem.s == 0.0:  # W has rank one: P_t is along b, and turns with it
+        b1, b2 = problem.b1, problem.b2
+        turn = (b1 * p1 + b2 * p2) / (b1 * b1 + b2 * b2) ** 2
+        values[P1 + B1] += turn * b2 * b2
+        values[P1 + B2] -= turn * b1 * b2
+        values[P2 + B1] -= turn * b1 * b2
+        values[P2 + B2] += turn * b1 * b1
 
 
 @always_inlined
@@ -244,6 +256,12 @@ def _needed(problem, moves, rows):
 
 
 @inlined
+def _stops_at_once(problem):
+    """Return whether v₃ = 0 where v_t = 0, also after changes within the range of W: these events are one."""
+    return problem.s == 0.0 and abs(problem.offset) <= COINCIDENT
+
+
+@inlined
 def _repels(problem, s1, s2):
     """Return whether small changes across σ grow as straight slip stops: η < ½. (D33)"""
     al, _, ap, bl, _ = in_frame(problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, s1, s2)
@@ -308,12 +326,14 @@ def _follow(problem, units, view, moves, values, rows, after3):
     if not at_rest:
         values[VT1 + V1] = values[VT2 + V2] = 1.0
     last_needed, stop = _needed(problem, moves, rows)
+    locks = _stops_at_once(problem)
     for i in range(rows):
         move, after = moves[i], moves[i + 1]
         event, rate, last = move[6], move[13], i == rows - 1
         start, p3 = unit * move[2], unit * move[3]
         n1 = n2 = gain = 0.0
-        if not last_needed < i <= stop:
+        at_stop = rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole
+        if not (last_needed < i <= stop or (locks and at_stop)):
             n1, n2, gain = cross(problem, units, move, after, start, p3, rest_at, values)
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
         if i == stop:
@@ -327,9 +347,14 @@ def _follow(problem, units, view, moves, values, rows, after3):
             total += work_unit * move[4]
         if event == code.NO_EVENT:
             continue
-        if rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole:
+        at_stop = rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole
+        if at_stop and locks:
+            boundary |= WITHIN_RANGE
+        elif at_stop:
             boundary, unknown = boundary | EVENTS_COINCIDE, ALL if last else max(unknown, ALL_BUT_E)
         _at_event(problem, works, values, after[14], after[15], p3, q1, q2)
+        if locks and at_stop:  # v₃ vanishes where v_t does
+            combine(values, NORMAL, 1.0, NORMAL, -rate, STOP)
         turns = event != code.LAW_MET
         if turns:
             gained = _book(problem, values, event, rate, p3)
@@ -453,3 +478,6 @@ def differentiate_rows(
             *(0.5 * (w[1, 2] + w[2, 1]), w[2, 2], v[0], v[1], v[2], friction[i], restitution[i]),
             *(law, velocity_scale[i], factor, scratch, moves, numbers, codes, out, boundaries),
         )
+        if boundaries[i] & WITHIN_RANGE:
+            boundaries[i] = boundaries[i] & ~WITHIN_RANGE | EVENTS_COINCIDE
+            _fill(out, 0, ALL_BUT_E, math.nan)

@@ -12,7 +12,7 @@ from ..._numeric.loops import assign, filled, largest
 from ..._numeric.products import add
 from ..._numeric.tolerances import EPS
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, SLIP_RESUMED, STICKS
-from ...contact_space._kernels.derivatives import SLOPES, differentiate_into
+from ...contact_space._kernels.derivatives import SLOPES, WITHIN_RANGE, differentiate_into
 from ...contact_space._kernels.path import MAX_MOVES, SCRATCH
 from ...contact_space._kernels.recording import MOVE
 from ...contact_space._kernels.slip_panels import ROOM
@@ -288,4 +288,9 @@ def robot_slopes(work, q, v, e, slope, by_q, out, kinks):
         delassus = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
         stops = codes[0, 1] & (STICKS | SLIP_RESUMED) > 0
         fill_kinks(delassus, np.array([v1, v2]), AT_REST * scale, work.friction, stops, data, kinks)
+    if boundary[0] & WITHIN_RANGE:  # surfaces can move in other directions
+        boundary[0] -= WITHIN_RANGE
+        for i in range(out.shape[0]):
+            for j in range(2 * nv + SURFACE, 2 * nv + FRICTION):
+                out[i, j] = math.nan
     return status, boundary[0]
