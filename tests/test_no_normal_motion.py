@@ -152,24 +152,6 @@ def test_derivatives_of_a_damped_joint_that_moves_along_a_surface(scheme):
         assert not trajectory.forces("tip", [0.05, 0.1]).any()
 
 
-@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
-def test_arm_at_rest_on_top_of_a_sphere_leaves_it(scheme):
-    """The sphere curves away from the path of the tip: q = q₀ cos(t √(k/I)), without contact forces."""
-    model, q0, lever, stiffness, duration = pin.Model(), 0.3, 0.8, 20.0, 0.1
-    arm = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "arm")
-    place = pin.SE3(np.eye(3), np.array([lever, 0.0, 0.0]))
-    model.appendBodyToJoint(arm, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), place)
-    model.addFrame(pin.Frame("tip", arm, 0, place, pin.FrameType.OP_FRAME))
-    unbounded(model)
-    top = lever * np.array([np.cos(q0), np.sin(q0), 0.0])
-    contact = Contact("tip", Sphere(top - [0.0, 0.0, 0.3], 0.3), friction=0.3, name="tip")
-    scene = Scene(model, [contact], control=JointPD([stiffness], 0.0, [0.0]))
-    trajectory = simulate(scene, [q0], [0.0], duration, scheme=scheme)
-    expected = q0 * np.cos(duration * np.sqrt(stiffness) / lever)
-    assert trajectory.q[-1, 0] == pytest.approx(expected, rel=1e-7 if scheme == "event-driven" else 1e-5)
-    assert not trajectory.forces("tip", 0.5 * duration).any()
-
-
 def test_held_bodies_that_fall_together_load_no_contact():
     """In a tilted world the only loads of the time steps are rounding errors of gaps."""
     turn = pin.exp3(np.array([0.3, 0.5, -0.2]))

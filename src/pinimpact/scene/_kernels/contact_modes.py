@@ -13,7 +13,7 @@ import numpy as np
 from ..._compile.declared import FLOATS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.coulomb_problem import CoulombProblem
-from ..._numeric.loops import assign, filled, flags, largest, nonzero
+from ..._numeric.loops import assign, filled, flags, nonzero
 from . import touching_rows
 from .acting_forces import jammed_contact
 from .active_set import close, stop_along
@@ -312,9 +312,7 @@ def modes_of_contacts(work, what, force, negligible, unique, threshold, stopped,
             for a in range(b, b + 3):
                 stopped[a] = True
             continue
-        # where no normal force moves the robot, forces hold the contact neither closed nor at rest
-        opens = acceleration[b + 2] > threshold[b] or largest(what.rows[b + 2]) == 0.0
-        if normal <= negligible[b + 2] and opens:
+        if normal <= negligible[b + 2] and acceleration[b + 2] > threshold[b]:
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
