@@ -112,8 +112,8 @@ def cross(problem, units, move, after, start, end, rest_at, values):
         )
         square = mu * units.per * units.per
         return square * n1, square * n2, 0.0
-    if move[0] == IN_RESUMED_SLIP:
-        gain = after[9] / (end - rest_at) if end > rest_at else 0.0
+    if move[0] == IN_RESUMED_SLIP and end > rest_at:
+        gain = after[9] / (end - rest_at)
         _resume(problem, s1, s2, gain, start - rest_at, end - rest_at, values)
         return mu * s1 * half, mu * s2 * half, gain
     return k1 * half, k2 * half, 0.0

@@ -256,12 +256,6 @@ def _needed(problem, moves, rows):
 
 
 @inlined
-def _stops_at_once(problem):
-    """Return whether v₃ = 0 where v_t = 0, also after changes within the range of W: these events are one."""
-    return problem.s == 0.0 and abs(problem.offset) <= COINCIDENT
-
-
-@inlined
 def _repels(problem, s1, s2):
     """Return whether small changes across σ grow as straight slip stops: η < ½. (D33)"""
     al, _, ap, bl, _ = in_frame(problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, s1, s2)
@@ -326,14 +320,14 @@ def _follow(problem, units, view, moves, values, rows, after3):
     if not at_rest:
         values[VT1 + V1] = values[VT2 + V2] = 1.0
     last_needed, stop = _needed(problem, moves, rows)
-    locks = _stops_at_once(problem)
+    # v₃ = 0 where v_t = 0, also after changes within the range of W: these events are one
+    locks = problem.s == 0.0 and abs(problem.offset) <= COINCIDENT
     for i in range(rows):
         move, after = moves[i], moves[i + 1]
         event, rate, last = move[6], move[13], i == rows - 1
         start, p3 = unit * move[2], unit * move[3]
         n1 = n2 = gain = 0.0
-        at_stop = rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole
-        if not (last_needed < i <= stop or (locks and at_stop)):
+        if not last_needed < i <= stop:
             n1, n2, gain = cross(problem, units, move, after, start, p3, rest_at, values)
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
         if i == stop:
@@ -353,7 +347,7 @@ def _follow(problem, units, view, moves, values, rows, after3):
         elif at_stop:
             boundary, unknown = boundary | EVENTS_COINCIDE, ALL if last else max(unknown, ALL_BUT_E)
         _at_event(problem, works, values, after[14], after[15], p3, q1, q2)
-        if locks and at_stop:  # v₃ vanishes where v_t does
+        if at_stop and locks:
             combine(values, NORMAL, 1.0, NORMAL, -rate, STOP)
         turns = event != code.LAW_MET
         if turns:

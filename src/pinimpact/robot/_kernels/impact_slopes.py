@@ -291,6 +291,5 @@ def robot_slopes(work, q, v, e, slope, by_q, out, kinks):
     if boundary[0] & WITHIN_RANGE:  # surfaces can move in other directions
         boundary[0] -= WITHIN_RANGE
         for i in range(out.shape[0]):
-            for j in range(2 * nv + SURFACE, 2 * nv + FRICTION):
-                out[i, j] = math.nan
+            filled(out[i, 2 * nv + SURFACE : 2 * nv + FRICTION], math.nan)
     return status, boundary[0]
