@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, JointPD, Plane, Scene, Sphere, simulate
 
@@ -14,14 +15,14 @@ TURNS = [pin.exp3(axis) for axis in 2.0 * np.random.default_rng(3).normal(size=(
 """In these orientations the normal row of the contact Jacobian is a rounding error, and not exactly zero."""
 
 
-def damped(joint, turn, far):
+def damped(joint, turn, far, lever=1.0):
     """Return a damped point mass, with the frame ``tip``, on a joint that moves it at right angles to z."""
     model = pin.Model()
     base = pin.SE3(turn, turn @ np.array([far, 0.0, 0.0]))
     index = model.addJoint(0, joint(), base, "joint")
-    lever = np.array([1.0, 0.0, 0.0])
-    model.appendBodyToJoint(index, pin.Inertia(1.0, lever, np.zeros((3, 3))), pin.SE3.Identity())
-    model.addFrame(pin.Frame("tip", index, 0, pin.SE3(np.eye(3), lever), pin.FrameType.OP_FRAME))
+    place = np.array([lever, 0.0, 0.0])
+    model.appendBodyToJoint(index, pin.Inertia(1.0, place, np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", index, 0, pin.SE3(np.eye(3), place), pin.FrameType.OP_FRAME))
     unbounded(model)
     model.damping = np.array([0.5])
     model.gravity.linear = turn @ np.array([0.0, 0.0, -G])
@@ -171,3 +172,40 @@ def test_held_bodies_that_fall_together_load_no_contact():
     trajectory = simulate(Scene(model, [], held=held), np.zeros(3), np.zeros(3), 0.3, scheme="time-stepping")
     assert trajectory.v[-1] == pytest.approx([-0.3 * G, 0.0, -0.3 * G], abs=1e-12)
     assert not trajectory.notes
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3])
+@pytest.mark.parametrize("mu", [0.0, 0.3, 1.5])
+def test_spring_moves_an_arm_at_rest_off_the_top_of_a_sphere(mu, unit):
+    """The tip leaves the sphere without a force, so the arm swings freely, and back to its start. (11.14)"""
+    start, k, radius = 0.3, 20.0, 0.3 * unit
+    top = unit * np.array([np.cos(start), np.sin(start), 0.0])
+    for turn in [np.eye(3), *TURNS]:
+        model = damped(pin.JointModelRZ, turn, 0.0, unit)
+        model.damping = np.zeros(1)
+        model.gravity.linear *= unit
+        surface = Sphere(turn @ (top - np.array([0.0, 0.0, radius])), radius)
+        spring = JointPD([k * unit**2], [0.0], [0.0])
+        scene = Scene(model, [Contact("tip", surface, friction=mu, name="tip")], control=spring)
+        trajectory = simulate(scene, [start], [0.0], 2.0, scheme="event-driven")
+        assert trajectory.q[-1, 0] == pytest.approx(start * np.cos(2.0 * np.sqrt(k)), abs=1e-7)
+        assert not trajectory.impacts
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.3])
+@pytest.mark.parametrize("torque", [1.0, 50.0])
+def test_torque_moves_a_pendulum_that_hangs_down_to_the_floor(mu, torque):
+    """The tip rises to both sides of its lowest point, so the floor does not act: θ̈ = τ − g sin θ. (11.14)"""
+    for turn in [np.eye(3), *TURNS]:
+        model = damped(pin.JointModelRZ, turn, 0.0)
+        model.damping = np.zeros(1)
+        model.gravity.linear = turn @ np.array([G, 0.0, 0.0])
+        tip, up = turn @ np.array([1.0, 0.0, 0.0]), turn @ np.array([-1.0, 0.0, 0.0])
+        floor, push = Contact("tip", Plane(tip, up), friction=mu), np.array([torque])
+        scene = Scene(model, [floor], control=lambda t, q, v, push=push: push)
+        trajectory = simulate(scene, [0.0], [0.0], 0.3, scheme="event-driven")
+        swing = solve_ivp(
+            lambda t, y: (y[1], torque - G * np.sin(y[0])), (0.0, 0.3), (0.0, 0.0), rtol=1e-10, atol=1e-12
+        )
+        assert trajectory.q[-1, 0] == pytest.approx(swing.y[0, -1], abs=1e-7)
+        assert not trajectory.impacts

@@ -163,6 +163,7 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     stopped, against = flags(size, False), np.zeros(size)  # see `come_to_rest`
     threshold = np.empty(size)
     touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, threshold)
+    touching_rows.add_curvature(work, q, v, what, response, force, threshold)
     negligible = touching_rows.negligible_forces(work, what, response, delassus, force)
     modes_of_contacts(work, what, force, negligible, unique, threshold, stopped, chosen)
     reject_contacts(work, what, stopped, certain, chosen.rejected)

@@ -10,19 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FloatRows, Floats, Integers, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
 from ..._numeric.loops import assign, largest_diagonal, nonzero
+from ..._numeric.products import add
 from ..._numeric.semidefinite import factor
-from ..._numeric.tolerances import NOISE, RANK, ROUNDOFF
+from ..._numeric.tolerances import LITTLE, NOISE, RANK, ROUNDING, ROUNDOFF
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
 from .contact_forces import FREE, SLIP, mass_at_contact, negligible_force
-from .dynamics import follow_surface, motion_of_contact
+from .dynamics import ABA, call_python, follow_surface, motion_of_contact, set_state
+from .slip import fastest_of
 from .tolerances import LEAST_SIZE, NEGLIGIBLE, ROUNDED
+from .workspace import SceneWorkspace
 
 
 class Touching(NamedTuple):
@@ -190,6 +193,42 @@ def resulting_accelerations(delassus, free, force, contacts, unique, threshold):
         threshold[a] = (ROUNDED if unique else NEGLIGIBLE) * (threshold[a] + LEAST_SIZE)
         if unit > 0.0:  # effect of the error of the forces
             threshold[a] += USABLE / scale_a[a]
+
+
+@declared(SceneWorkspace, FLOATS, FLOATS, Touching, FLOAT_ROWS, FLOATS, FLOATS)
+@external
+def add_curvature(work, q, v, what, response, force, threshold):
+    """Add to `what.free` the normal accelerations that contacts at rest gain as the motion begins. (11.14)
+
+    `q`, `v` are the state, and `response` (m, nv) is M⁻¹ rowsᵀ, row by row; other arguments as in
+    `resulting_accelerations`.
+    """
+    passing = np.zeros(len(what.contacts), dtype=np.int64)
+    for k in range(len(passing)):
+        rests = not what.law.held[k] and what.law.slip[k, 0] == 0.0 and what.law.slip[k, 1] == 0.0
+        passing[k] = 1 if rests and len(nonzero(what.rows[3 * k + 2])) == 0 else 0
+    if len(nonzero(passing)) == 0:
+        return
+    motion = work.acceleration.copy()
+    for a in range(len(force)):
+        add(motion, force[a], response[a])
+    size, fastest = work.touching_gap / (4.0 * ROUNDING), fastest_of(work.joint_metres, motion)
+    if fastest == 0.0:
+        return
+    speed = math.sqrt((work.gravity + fastest) * size)  # rounding errors of the accelerations do not matter
+    for j in range(len(motion)):
+        motion[j] *= speed / fastest
+    set_state(work, q, motion)
+    call_python(work, ABA)
+    jacobian, velocity, acceleration = np.empty((3, len(motion))), np.empty(3), np.empty(3)
+    for k in range(len(passing)):
+        if passing[k] != 0:
+            motion_of_contact(work, what.contacts[k], jacobian, velocity, acceleration, np.empty(3))
+            rise = 0.5 * acceleration[2] * (LITTLE * size / speed) ** 2
+            if rise > work.touching_gap:
+                what.free[3 * k + 2] += threshold[3 * k] + rise
+    set_state(work, q, v)
+    call_python(work, ABA)
 
 
 @inlined
