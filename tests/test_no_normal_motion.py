@@ -194,18 +194,21 @@ def test_spring_moves_an_arm_at_rest_off_the_top_of_a_sphere(mu, unit):
 
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 @pytest.mark.parametrize("torque", [1.0, 50.0])
-def test_torque_moves_a_pendulum_that_hangs_down_to_the_floor(mu, torque):
+@pytest.mark.parametrize("course", [lambda t: 1.0, lambda t: 10.0 * t, lambda t: max(0.0, t - 0.1)])
+@pytest.mark.parametrize("start", [0.0, -1e-8, -1e-5])
+def test_torque_moves_a_pendulum_that_hangs_down_to_the_floor(start, course, mu, torque):
     """The tip rises to both sides of its lowest point, so the floor does not act: θ̈ = τ − g sin θ. (11.14)"""
+    at_times = {"rtol": 1e-10, "atol": 1e-12, "max_step": 0.01}
     for turn in [np.eye(3), *TURNS]:
         model = damped(pin.JointModelRZ, turn, 0.0)
         model.damping = np.zeros(1)
         model.gravity.linear = turn @ np.array([G, 0.0, 0.0])
         tip, up = turn @ np.array([1.0, 0.0, 0.0]), turn @ np.array([-1.0, 0.0, 0.0])
-        floor, push = Contact("tip", Plane(tip, up), friction=mu), np.array([torque])
-        scene = Scene(model, [floor], control=lambda t, q, v, push=push: push)
-        trajectory = simulate(scene, [0.0], [0.0], 0.3, scheme="event-driven")
+        floor = Contact("tip", Plane(tip, up), friction=mu)
+        scene = Scene(model, [floor], control=lambda t, q, v: np.array([torque * course(t)]))
+        trajectory = simulate(scene, [start], [0.0], 0.3, scheme="event-driven")
         swing = solve_ivp(
-            lambda t, y: (y[1], torque - G * np.sin(y[0])), (0.0, 0.3), (0.0, 0.0), rtol=1e-10, atol=1e-12
+            lambda t, y: (y[1], torque * course(t) - G * np.sin(y[0])), (0.0, 0.3), (start, 0.0), **at_times
         )
         assert trajectory.q[-1, 0] == pytest.approx(swing.y[0, -1], abs=1e-7)
         assert not trajectory.impacts

@@ -42,9 +42,9 @@ class Choice(NamedTuple):
         breaking: (nv,) force on each joint that its dry friction no longer holds [N], else zero.
         rejected: (n + nl + nv,) state of rejected candidates. For a contact that was open: `SEPARATES` if it
             loses a separation velocity, `RUBS` if it loses a tangential velocity (both apply only if it stays
-            open). For any contact: `KEEPS_SLIDING` if its sticking would accelerate a joint against its
-            force. For a joint that sticking contacts drag against its friction, or whose stop would
-            accelerate another one, the sign of its velocity. (11.9)
+            open). For any contact: `SEPARATES` if its curvature opens it (11.14), `KEEPS_SLIDING` if its
+            sticking would accelerate a joint against its force. For a joint that sticking contacts drag
+            against its friction, or whose stop would accelerate another one, the sign of its velocity. (11.9)
     """
 
     modes: Integers
@@ -153,6 +153,11 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     unique = touching_rows.determines_forces(delassus, what.law)
     problem = CoulombProblem(delassus, what.free, what.law)
     converged = touching_rows.forces_on(work, what, problem, candidates, unique, force)
+    curved = touching_rows.curved_contacts(work, q, v, what, response, delassus, force)
+    for i in curved:
+        chosen.rejected[i] = SEPARATES
+    if len(curved) > 0:  # modes are chosen again without them
+        return -1, True, 0.0, 0.0, 0.0
     # if no forces were found, `force` has those of the last attempt
     jamming = -1 if converged else jammed_contact(problem, force)
     if jamming >= 0:
@@ -163,7 +168,6 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     stopped, against = flags(size, False), np.zeros(size)  # see `come_to_rest`
     threshold = np.empty(size)
     touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, threshold)
-    touching_rows.add_curvature(work, q, v, what, response, force, threshold)
     negligible = touching_rows.negligible_forces(work, what, response, delassus, force)
     modes_of_contacts(work, what, force, negligible, unique, threshold, stopped, chosen)
     reject_contacts(work, what, stopped, certain, chosen.rejected)

@@ -14,8 +14,8 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, Integers
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
-from ..._numeric.loops import assign, largest_diagonal, nonzero
-from ..._numeric.products import add
+from ..._numeric.loops import assign, filled, largest_diagonal, nonzero
+from ..._numeric.products import add, dot
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import LITTLE, NOISE, RANK, ROUNDING, ROUNDOFF
 from .acting_forces import find_forces
@@ -24,7 +24,7 @@ from .approach import PRESSED, SLIDES
 from .contact_forces import FREE, SLIP, mass_at_contact, negligible_force
 from .dynamics import ABA, call_python, follow_surface, motion_of_contact, set_state
 from .slip import fastest_of
-from .tolerances import LEAST_SIZE, NEGLIGIBLE, ROUNDED
+from .tolerances import LEAST_SIZE, NEARLY_SINGULAR, NEGLIGIBLE, ROUNDED
 from .workspace import SceneWorkspace
 
 
@@ -195,40 +195,59 @@ def resulting_accelerations(delassus, free, force, contacts, unique, threshold):
             threshold[a] += USABLE / scale_a[a]
 
 
-@declared(SceneWorkspace, FLOATS, FLOATS, Touching, FLOAT_ROWS, FLOATS, FLOATS)
+@declared(SceneWorkspace, FLOATS, FLOATS, Touching, FLOAT_ROWS, FLOAT_ROWS, FLOATS)
 @external
-def add_curvature(work, q, v, what, response, force, threshold):
-    """Add to `what.free` the normal accelerations that contacts at rest gain as the motion begins. (11.14)
+def curved_contacts(work, q, v, what, response, delassus, force):
+    """Return the numbers of the contacts that the curvature of their gaps will separate. (11.14)
 
-    `q`, `v` are the state, and `response` (m, nv) is M⁻¹ rowsᵀ, row by row; other arguments as in
-    `resulting_accelerations`.
+    Args:
+        work: The workspace, at the state last evaluated.
+        q, v: That state.
+        what: The `Touching`.
+        response: (m, nv) M⁻¹ rowsᵀ, row by row.
+        delassus: (m, m) Delassus matrix of the rows.
+        force: (m,) forces.
     """
-    passing = np.zeros(len(what.contacts), dtype=np.int64)
-    for k in range(len(passing)):
-        rests = not what.law.held[k] and what.law.slip[k, 0] == 0.0 and what.law.slip[k, 1] == 0.0
-        passing[k] = 1 if rests and len(nonzero(what.rows[3 * k + 2])) == 0 else 0
-    if len(nonzero(passing)) == 0:
-        return
+    nc, n, metres, rows = len(what.contacts), len(v), work.joint_metres, what.rows
+    curved, undecided = np.zeros(nc, dtype=np.int64), np.zeros(nc, dtype=np.int64)
+    for k in range(nc):
+        b = 3 * k
+        immobile = delassus[b + 2, b + 2] <= NEARLY_SINGULAR**2 * max(delassus[b, b], delassus[b + 1, b + 1])
+        undecided[k] = 1 if immobile and not what.law.held[k] else 0
+    if len(nonzero(undecided)) == 0:
+        return nonzero(undecided)
     motion = work.acceleration.copy()
     for a in range(len(force)):
-        add(motion, force[a], response[a])
-    size, fastest = work.touching_gap / (4.0 * ROUNDING), fastest_of(work.joint_metres, motion)
-    if fastest == 0.0:
-        return
-    speed = math.sqrt((work.gravity + fastest) * size)  # rounding errors of the accelerations do not matter
-    for j in range(len(motion)):
-        motion[j] *= speed / fastest
-    set_state(work, q, motion)
-    call_python(work, ABA)
-    jacobian, velocity, acceleration = np.empty((3, len(motion))), np.empty(3), np.empty(3)
-    for k in range(len(passing)):
-        if passing[k] != 0:
-            motion_of_contact(work, what.contacts[k], jacobian, velocity, acceleration, np.empty(3))
-            rise = 0.5 * acceleration[2] * (LITTLE * size / speed) ** 2
-            if rise > work.touching_gap:
-                what.free[3 * k + 2] += threshold[3 * k] + rise
+        if a >= 3 * nc or undecided[a // 3] == 0:
+            add(motion, force[a], response[a])
+    near = work.touching_gap
+    size = near / (4.0 * ROUNDING)
+    # so fast that rounding errors of the other accelerations do not matter
+    speed = math.sqrt((work.gravity + LEAST_SIZE + fastest_of(metres, motion)) * size)
+    time = LITTLE * size / speed
+    jacobian, acceleration, unused = np.empty((3, n)), np.empty(3), np.empty(3)
+    for j in range(-1, n):
+        if j >= 0:
+            filled(motion, 0.0)
+            motion[j] = 1.0
+        fastest = fastest_of(metres, motion)
+        for i in range(n if fastest > 0.0 else 0):
+            motion[i] *= speed / fastest
+        set_state(work, q, motion)
+        call_python(work, ABA)
+        for k in nonzero(undecided):
+            row = rows[3 * k + 2]
+            gap = motion_of_contact(work, what.contacts[k], jacobian, unused, acceleration, unused)
+            rise = 0.5 * time**2 * (acceleration[2] - dot(row, work.acceleration))
+            change = time * dot(row, motion)
+            change = change if j < 0 else -abs(change)
+            if rise > 0.0 and rise + change > near and gap - min(change, 0.0) ** 2 / (4.0 * rise) > -near:
+                curved[k] = 1
+            if curved[k] != 0 or (j < 0 and abs(rise + change) > near):
+                undecided[k] = 0
     set_state(work, q, v)
     call_python(work, ABA)
+    return what.contacts[nonzero(curved)]
 
 
 @inlined
