@@ -212,3 +212,32 @@ def test_torque_moves_a_pendulum_that_hangs_down_to_the_floor(start, course, mu,
         )
         assert trajectory.q[-1, 0] == pytest.approx(swing.y[0, -1], abs=1e-7)
         assert not trajectory.impacts
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.8])
+@pytest.mark.parametrize("course", [lambda t: 1.0, lambda t: np.sin(20.0 * t)])
+def test_stretched_arm_leaves_the_wall_at_its_full_reach(course, mu):
+    """No posture reaches beyond the wall, so the motion is that of the arm alone, for any torques. (11.14)"""
+    for turn, torque in zip(TURNS, np.random.default_rng(5).normal(size=(6, 2)), strict=True):
+        model, parent, reach = pin.Model(), 0, (0.4, 0.7)
+        for k in range(2):
+            base = pin.SE3(turn, np.ones(3)) if k == 0 else pin.SE3(np.eye(3), np.array([reach[0], 0, 0]))
+            parent = model.addJoint(parent, pin.JointModelRZ(), base, f"joint {k}")
+            body = pin.Inertia(1.0, np.array([0.5 * reach[k], 0.1, 0.0]), 0.01 * np.eye(3))
+            model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+        tip = pin.SE3(np.eye(3), np.array([reach[1], 0.0, 0.0]))
+        model.addFrame(pin.Frame("tip", parent, 0, tip, pin.FrameType.OP_FRAME))
+        unbounded(model)
+        wall = Contact("tip", Plane(np.ones(3) + turn[:, 0] * sum(reach), -turn[:, 0]), friction=mu)
+        scene = Scene(model, [wall], control=lambda t, q, v, torque=torque: torque * course(t))
+        trajectory = simulate(scene, np.zeros(2), np.zeros(2), 0.2, scheme="event-driven")
+        data = model.createData()
+
+        def alone(t, x, model=model, data=data, torque=torque):
+            return np.concatenate([x[2:], pin.aba(model, data, x[:2], x[2:], torque * course(t))])
+
+        expected = solve_ivp(alone, (0.0, 0.2), np.zeros(4), rtol=1e-10, atol=1e-12, max_step=0.01)
+        assert np.concatenate([trajectory.q[-1], trajectory.v[-1]]) == pytest.approx(
+            expected.y[:, -1], abs=1e-7
+        )
+        assert not trajectory.impacts
