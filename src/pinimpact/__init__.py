@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from .scene.controls import JointPD as JointPD
     from .scene.events import Event as Event
     from .scene.records import Sensitivity as Sensitivity
-    from .scene.saltation import saltation_matrix as saltation_matrix
+    from .scene.single_saltation import saltation_matrix as saltation_matrix
     from .scene.scene import Scene as Scene
     from .scene.sensitivities import Linearization as Linearization
     from .scene.simulation import simulate as simulate
@@ -106,7 +106,7 @@ _HOMES = {
     "geometry.sphere": ("Sphere",),
     "scene.controls": ("JointPD",),
     "scene.events": ("Event",),
-    "scene.saltation": ("saltation_matrix",),
+    "scene.single_saltation": ("saltation_matrix",),
     "scene.scene": ("Scene",),
     "scene.records": ("Sensitivity",),
     "scene.sensitivities": ("Linearization",),

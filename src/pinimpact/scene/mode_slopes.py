@@ -96,7 +96,6 @@ class SlopesOfModes:
         check_joints(model)
         self.dynamics, self.model = dynamics, model
         nv = model.nv
-        self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._parent = np.array(model.parents, dtype=np.int64)
         charts = dynamics.work.joint_charts
         turns = [
@@ -166,10 +165,17 @@ class SlopesOfModes:
                 slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
         return ModeSlopes(acceleration, response, rows, inverse, tuple(slips), at_bound)
 
-    def gaps(self, mode: ModeSlopes) -> tuple[Integers, Bools]:
-        """Return the rows (k,) of the present constraints that are rates of gaps; which bear a load (k,)."""
-        found = gap_rows(self.dynamics.work, mode.acceleration, mode.response, self._gravity)
-        return found[0], found[1]
+    def gaps(self, mode: ModeSlopes) -> tuple[Integers, Bools, Bools]:
+        """Return the present constraints that are rates of gaps (k,), and which bear a load; see the kernel.
+
+        The third array (m,) has the constraints without those of contacts and limits that bear none.
+        """
+        found = gap_rows(self.dynamics.work, mode.acceleration)
+        return found[0], found[1], found[2]
+
+    def by_friction(self, step: DenseStep) -> Array:
+        """Return the derivatives (nv, n) of v̇ by the coefficients of friction at the start of a step."""
+        return self.within(step, np.array([step.start])).by_friction[0]
 
 
 def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:

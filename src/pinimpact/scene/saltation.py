@@ -10,28 +10,23 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
 from ..arrays import Array, Bools, Integers
-from ..checks import finite_array, in_short
+from ..checks import finite_array
 from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
-from ..errors import InputError, UnknownNameError
-from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import FREE, SLIP, STICK
-from ._kernels.tolerances import REMAINS, ROUNDING
+from ._kernels.tolerances import COMPUTED, REMAINS, ROUNDING
 from ._kernels.variations import admitted, stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import Jacobian, as_events
 from .forces import ClosedSet
 from .impact_jumps import GroupJump, ImpactJumps, Parameter, SingleJump
-from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
-from .options import Options
 from .records import EventRecord, ImpactRecord
 from .rolling_over import rolls_over
 from .scene import Scene
@@ -71,9 +66,17 @@ class Saltation:
     # ---- events
 
     def start(
-        self, x: Array, first: DenseStep, impacts: Sequence[ImpactRecord], events: Sequence[EventRecord] = ()
+        self,
+        x: Array,
+        first: DenseStep,
+        impacts: Sequence[ImpactRecord],
+        events: Sequence[EventRecord] = (),
+        force: Array | None = None,
     ) -> Array:
-        """Return changes x (2nv, n) of the initial state after the impacts and events at the start."""
+        """Return changes x (2nv, n) of the initial state after the impacts and events at the start.
+
+        `force` (nv, n) are the changes of the generalized force, None for zeros.
+        """
         if self._called(events):
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         if impacts:
@@ -86,21 +89,41 @@ class Saltation:
             return x
         after = self._begun(first)
         self._flag_rest(x, first, first.closed, after)
-        return self._without_load(x, after, first.closed)
+        return self._without_load(x, after, first, force)
 
-    def _without_load(self, x: Array, mode: ModeSlopes, closed: ClosedSet) -> Array:
-        """Return the admitted changes, as NaN where x moves contacts that no load would close again."""
-        nv, (gaps, loaded) = len(x) // 2, self.slopes.gaps(mode)
+    def _without_load(self, x: Array, mode: ModeSlopes, first: DenseStep, force: Array | None) -> Array:
+        """Return the admitted changes, as NaN where contacts move that no load would close again.
+
+        Changes x move them, or changes of the force (nv, n) or of friction accelerate them.
+        """
+        nv, (gaps, loaded, kept) = len(x) // 2, self.slopes.gaps(mode)
+        if loaded.all():
+            return self._admitted(x, mode, gaps)
+        rows, metres = mode.rows[gaps[~loaded]], self._dynamics.work.joint_metres
+        others = mode._replace(rows=mode.rows[kept], response=mode.response[:, kept])
+        free = self._admitted(x, others, np.searchsorted(np.flatnonzero(kept), gaps[loaded]))
+        pushed = np.zeros_like(x)
+        pushed[nv:] = 0.0 if force is None else mode.inverse @ force
+        pushed[nv:, x.shape[1] - len(self.parameters) :] += self.slopes.by_friction(first)
+        moved = _moves(rows, x, free, metres) | _moves(rows[:, nv:], x[:nv], free[:nv], metres)
+        moved |= _moves(rows, pushed, _onto(others, pushed), metres)
         admitted = self._admitted(x, mode, gaps)
-        if loaded.all() or not closed.unique or self._bilateral.any():
-            return admitted
-        rows = mode.rows[gaps][~loaded]
-        every, size_of = np.vstack([rows @ x, rows[:, nv:] @ x[:nv]]), np.abs(rows)
-        sizes = np.vstack([size_of @ np.abs(x), size_of[:, nv:] @ np.abs(x[:nv])])
-        moved = (np.abs(every) > REMAINS * sizes).any(axis=0)
         if moved.any():
             admitted[:, moved] = self._undefined(admitted[:, moved], Boundary.GRAZING)
         return admitted
+
+    def flag_touching(self, q: Array, v: Array, modes: Integers, struck: Sequence[ImpactRecord]) -> None:
+        """Flag what touches at a start but neither collides nor closes: some changes make it collide.
+
+        `modes` are those at the start.
+        """
+        gaps, rates = self._dynamics.gaps_at(q, v).T
+        touches = (gaps <= self._dynamics.work.touching_gap) & (np.abs(rates) <= self._dynamics.error(v))
+        touches &= modes[: len(gaps)] == 0
+        for record in struck:
+            touches[list(self._jumps.sources(record))] = False
+        if touches.any():
+            self.boundary |= Boundary.GRAZING
 
     def _begun(self, step: DenseStep) -> ModeSlopes:
         """Return the slopes at the start of a step; flag friction at its bound, where they are one-sided."""
@@ -421,60 +444,17 @@ def _through_rest(
     return np.asarray(x - np.outer(rates[0] - rates[1], guard @ x / rate))
 
 
+def _moves(rows: Array, x: Array, projected: Array, metres: Array) -> Bools:
+    """Return whether each projected change moves a row by more than errors of x and rounding errors.
+
+    Changes are (nv, n) or (2nv, n), metres per unit (nv,).
+    """
+    parts = np.abs(x).reshape(-1, len(metres), x.shape[1])
+    largest = (metres[:, None] * parts).max(axis=1, keepdims=True) / metres[:, None]
+    sizes = np.abs(rows) @ (REMAINS * np.abs(x) + COMPUTED * largest.reshape(x.shape))
+    return np.asarray((np.abs(rows @ projected) > sizes).any(axis=0))
+
+
 def _onto(slopes: ModeSlopes, x: Array) -> Array:
     """Return changes (2nv, n) after the impulses at the active contacts that make their velocities vanish."""
     return np.asarray(stop(slopes.rows, slopes.response, len(x) // 2, x))
-
-
-def saltation_matrix(
-    scene: Scene, contact: Contact | str, q: ArrayLike, v: ArrayLike, t: float = 0.0
-) -> Array:
-    """Return the derivative of the state after an impact by the state before it, in the motion of a scene.
-
-    It includes the change of the time of the impact. (docs/derivatives.md, D25)
-
-    Args:
-        scene: The scene; its other contacts and joint limits are open.
-        contact: The contact that collides, or its name.
-        q: (nq,) configuration, at which the gap of the contact is zero.
-        v: (nv,) velocity before the impact.
-        t: Time [s], at which a control is evaluated.
-
-    Returns:
-        Ξ (2nv, 2nv) for changes (δq, δv), with δq in the tangent space; columns that do not exist are NaN.
-        Changes that held contacts do not admit are projected onto those that they admit.
-
-    Raises:
-        InputError: As in `simulate` and `impact_derivatives`; nothing collides, or something else; another
-            contact or a joint limit is closed; a sampled control.
-        UnknownNameError: A contact that the scene does not have.
-    """
-    name = contact.label if isinstance(contact, Contact) else contact
-    if scene.period is not None and scene.control is not None and "control" not in scene.without:
-        raise InputError(
-            f"period: {scene.period} given; the force of a sampled control depends on an earlier state, "
-            "which is not an argument; use simulate(..., sensitivities=)",
-            value=scene.period,
-        )
-    integrator = Integrator(scene, q, v, Options(max_impacts=1))
-    saltation = Saltation(scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv))
-    if name not in [one.label for one in scene.contacts]:
-        raise UnknownNameError(f"contact: the scene has no contact {in_short(contact)}", value=contact)
-    integrator.state.t = float(t)
-    integrator.begin()
-    impacts = integrator.record.impacts
-    if [record.source for record in impacts] != [name]:
-        struck = ", ".join(repr(record.source) for record in impacts) or "nothing"
-        raise InputError(f"contact: {struck} collides in this state instead of {name!r} alone", value=name)
-    work, instant = integrator.work, integrator.instant
-    rates = instant.approach(impacts[0].q, impacts[0].v_before, work.touching_gap)
-    for other, rate in zip(instant.names, rates.tolist(), strict=True):
-        if rate <= work.resting_speed and other != name:
-            raise InputError(
-                f"contact: {other!r} is active while {name!r} collides; use simulate(..., sensitivities=)",
-                value=name,
-            )
-    after = saltation.before(impacts[0], None)
-    after.v, after.closed = integrator.state.v, ClosedSet.of(work, np.zeros(0, dtype=np.int64))
-    after.directions = np.array([work.start_directions, work.start_directions])
-    return saltation.start(np.eye(2 * len(after.v)), after, impacts)

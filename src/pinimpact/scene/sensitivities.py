@@ -290,7 +290,8 @@ class Sensitivities:
                     v = struck[0].v_before if struck else steps[0].v
                     self._held.ask(now, steps[0].q, v, x)
                     self._hold(0)
-                x = saltation.start(x, steps[0], struck, called)
+                x = saltation.start(x, steps[0], struck, called, self._slopes.force)
+                self._flag_touching(struck, saltation.modes(steps[0]))
             else:
                 before = steps[k - 1]
                 x, saltation.boundary = self._starts[-1]
@@ -357,15 +358,24 @@ class Sensitivities:
                 boundary = saltation.boundary
         if taken is None:
             saltation.boundary = boundary
-            x = saltation.start(x[: 2 * len(step.v)], step, ())
+            x = saltation.start(x[: 2 * len(step.v)], step, (), (), slopes.force)
             boundary = saltation.boundary
         elif reached is None:
             steps.boundary = boundary
             x = steps.begin(np.concatenate([x, np.zeros((len(step.v) + 1, x.shape[1]))]), step)
-            boundary = steps.boundary
+            saltation.boundary = steps.boundary
+            if k == 0:
+                self._flag_touching(struck, steps.modes(taken))
+            boundary = saltation.boundary
         if self._held is not None:
             self._held.ask(step.start, step.q, step.v, x[: 2 * len(step.v)])
         return x, boundary
+
+    def _flag_touching(self, struck: Sequence[ImpactRecord], modes: Integers) -> None:
+        """Flag what touches at the start of the motion; see `Saltation.flag_touching`."""
+        step = self._steps[0]
+        v = struck[0].v_before if struck else step.v
+        self._slopes.saltation.flag_touching(step.q, v, modes, struck)
 
     def _next_stick(self, k: int) -> int:
         """Return the step from which on contacts stick whose slip ends, within errors, before step k; else k.

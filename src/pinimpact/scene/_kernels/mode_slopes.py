@@ -117,7 +117,7 @@ def slopes_along(
         if rows > 0 or invert_mass_matrix(work):  # else it is that of the forces
             assign(inverse[i].ravel(), work.minverse.ravel())
         _fill_smooth(work, smooth, of_contacts, forces)
-        _fill_closed(work, moved, True, forces, by_state[i], inverse[i], response[i])
+        _fill_closed(work, moved, True, acceleration, forces, by_state[i], inverse[i], response[i])
         _fill_friction(work, friction, inverse[i], by_friction[i])
         add_product(inverse[i], forces, by_state[i, :nv])
         _fill_turning(work, v, turning[i])
@@ -152,45 +152,44 @@ def constraints_at(work, parent, coefficients, q0, v0, start, h, t, ends, unique
     _fill_acceleration(work, acceleration)
     if rows > 0 or invert_mass_matrix(work):  # else it is that of the forces
         assign(inverse.ravel(), work.minverse.ravel())
-    _fill_closed(work, moved, False, none, by_state, inverse, response)
+    _fill_closed(work, moved, False, acceleration, none, by_state, inverse, response)
     return acceleration, response, by_state[nv:].copy(), inverse, moved, _at_bound(work, unique)
 
 
-@declared(SceneWorkspace, FLOATS, FLOAT_ROWS, float)
+@declared(SceneWorkspace, FLOATS)
 @jit
-def gap_rows(work, acceleration, response, gravity):
+def gap_rows(work, acceleration):
     """Return the rows of the constraints that are rates of gaps which remain closed, and which bear a load.
 
     Args:
         work: The workspace, with the forces last evaluated.
         acceleration: (nv,) v̇.
-        response: (nv, m) derivatives of v̇ by the forces of the rows.
-        gravity: Acceleration of gravity [m/s²].
 
     Returns:
-        (k,) numbers of the rows; (k,) whether its force moves joints by more than rounding errors of v̇.
+        (k,) numbers of the rows; (k,) whether the constraint is bilateral or its force moves joints by more
+        than rounding errors of v̇; (m,) the rows without those of contacts and limits that bear no load.
     """
-    gaps, count, row, size = np.empty(work.active_rows, dtype=np.int64), 0, 0, gravity
+    gaps, first = np.empty(work.active_rows, dtype=np.int64), np.empty(work.active_rows, dtype=np.int64)
+    loaded, kept = flags(work.active_rows, False), flags(work.active_rows, True)
+    count, row, size = 0, 0, _size(work, acceleration)
     for k in range(len(work.active_mode)):
         end = row + (1 if work.active_mode[k] == SLIP else 3)
-        for r in range(row if work.bilateral[work.active_index[k]] != 0 else end - 1, end):
-            gaps[count] = r
+        bilateral = work.bilateral[work.active_index[k]] != 0
+        for r in range(row if bilateral else end - 1, end):
+            gaps[count], first[count], loaded[count] = r, row, bilateral
             count += 1
         row = end
     for k in range(len(work.scalar_velocity)):
         lower, upper = work.scalar_lower[k], work.scalar_upper[k]
         friction = abs(upper if np.isinf(lower) else lower)  # may hold a joint instead of its limit
         if np.isinf(lower) != np.isinf(upper) and (friction == 0.0 or abs(work.solution[row + k]) > friction):
-            gaps[count] = row + k
+            gaps[count], first[count] = row + k, row + k
             count += 1
-    for j in range(len(acceleration)):
-        size = max(size, work.joint_metres[j] * abs(acceleration[j]))
-    loaded = flags(count, False)
     for a in range(count):
-        for j in range(len(response)):
-            rate = work.joint_metres[j] * response[j, gaps[a]] * work.solution[gaps[a]]
-            loaded[a] |= abs(rate) > COMPUTED * size
-    return gaps[:count], loaded
+        loaded[a] |= _bears(work, gaps[a], size)
+        if not loaded[a]:
+            kept[first[a] : gaps[a] + 1] = False
+    return gaps[:count], loaded[:count], kept
 
 
 @declared(*(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS), *(FLOAT_STACK, bool))
@@ -276,21 +275,24 @@ def _fill_smooth(work, smooth, of_contacts, forces):
 
 
 @inlined
-def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
+def _fill_closed(work, moved, moving, acceleration, forces, by_state, inverse, response):
     """Fill the rows of the vanishing velocities and the response of v̇ to their forces.
 
+    Friction without a load holds nothing: tangential rows of sticking contacts that bear none are left zero.
     If `moving`, terms by the change of slip directions are added to `forces`, see `_fill_smooth`.
     """
     jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
     row, nv = work.nv, work.nv
     shared = moving and not work.forces_unique and slips_with_friction(work)
-    push, turn = np.empty(nv), np.empty(nv)
+    push, turn, size = np.empty(nv), np.empty(nv), _size(work, acceleration)
     for k in range(len(force)):
         if shared and _without_load(work, k, row - nv):
             row += 1 if work.active_mode[k] == SLIP else 3
             continue
         if work.active_mode[k] != SLIP:
-            for d in range(3):
+            idle = work.active_mode[k] == STICK and not _bears(work, row - nv + 2, size)
+            row += 2 if idle else 0
+            for d in range(2 if idle else 0, 3):
                 assign(by_state[row, :nv], moved[k, d])
                 assign(by_state[row, nv:], jacobian[k, d])
                 _respond(inverse, jacobian[k, d], response, row - nv)
@@ -321,6 +323,25 @@ def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
             for i in range(nv):
                 response[i, row - nv] = metres * inverse[i, j]
         row += 1
+
+
+@inlined
+def _size(work, acceleration):
+    """Return the size of accelerations v̇ (nv,) [m/s²], at least that of gravity."""
+    size = work.gravity
+    for j in range(len(acceleration)):
+        size = max(size, work.joint_metres[j] * abs(acceleration[j]))
+    return size
+
+
+@inlined
+def _bears(work, row, size):
+    """Return whether the force of a row changes v̇, of a size [m/s²], by more than rounding errors."""
+    found = False
+    for j in range(work.nv):
+        rate = work.joint_metres[j] * work.force_response[row, j] * work.solution[row]
+        found |= abs(rate) > COMPUTED * size
+    return found
 
 
 @inlined
