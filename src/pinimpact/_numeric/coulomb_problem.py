@@ -30,7 +30,7 @@ from .least_norm import least_norm
 from .loops import assign, filled, largest_diagonal, ones, repeated
 from .products import apply
 from .semidefinite import factor
-from .tolerances import COMPUTED, EXACT, HALF_DIGITS, RANK, ROUNDING, ROUNDOFF, SMALL, UNDETERMINED
+from .tolerances import COMPUTED, EXACT, HALF_DIGITS, LARGE, RANK, ROUNDING, ROUNDOFF, SMALL, UNDETERMINED
 from .tolerances import USABLE as USABLE  # re-exported
 
 LARGEST = 10.0
@@ -103,19 +103,20 @@ def solve_compliant(problem, x, compliance, rank):
 
     The solutions of (16.3) from f = 0 for r = 2ε C and r = ε C are extrapolated to ε = 0, where Newton's
     method converges to the nearest solution. C is diagonal, up to a factor `compliance` (nc,) for the rows
-    of contacts and 1 for scalar rows. Newton's method starts from the velocities of the given x, which should
-    have the symmetry of the problem; `rank` is that of `polish`.
+    of contacts and 1 for scalar rows. With friction there may be several such solutions; this one continues
+    that of a larger r, which does not depend on where Newton's method starts. It starts from the velocities
+    of the given x, which should have the symmetry of the problem; `rank` is that of `polish`.
     """
     velocities, profile, now, matrix = in_velocities(problem, compliance)
     size = len(x)
     add_transposed(velocities.values, velocities.columns, velocities.counts, x, now.w)
     none, r, solved = np.zeros(size), np.empty(size), True
-    for part in (2.0, 1.0):
-        fill_compliances(velocities, part * SMALL, np.empty(size), r)
+    for part in (LARGE, 2.0 * SMALL, SMALL):
+        fill_compliances(velocities, part, np.empty(size), r)
         _, found = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, False)
         solved = solved and found
         for a in range(size):
-            x[a] = 2.0 * now.f[a] - x[a] if part == 1.0 else now.f[a]
+            x[a] = 2.0 * now.f[a] - x[a] if part == SMALL else now.f[a]
     best = polish(problem, x, rank) if solved else math.inf
     return best if best <= UNDETERMINED else solve_coulomb(problem, x)
 

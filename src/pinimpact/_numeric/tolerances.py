@@ -39,6 +39,10 @@ SMALL = 1e-5
 """Small compliance, relative to the largest diagonal entry of W: the error of the extrapolation to zero is
 its square, 10⁻¹⁰."""
 
+LARGE = 0.1
+"""Compliance, relative to the same, from whose solution those of small ones are continued: of two solutions at
+small compliances, which for r = 3e-3 still depend on the start of Newton's method, one is left."""
+
 # ---- Coulomb's law in the velocities
 
 SOFTEST = 3e-3
