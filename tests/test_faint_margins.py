@@ -468,7 +468,7 @@ def test_moving_held_contact_raises_beside_a_fast_shaft(scheme):
 
 
 def test_forces_at_rest_do_not_depend_on_rounding_errors():
-    """A foot whose joints have dry friction may bear a load or none; the same one at all times at rest. (11.3)"""
+    """A foot whose joints have dry friction may bear a load or none: the same at all times at rest. (11.3)"""
     drawn = random_control.draw(82000000000099)
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, 0.5, rtol=drawn.rtol, atol=1e-2 * drawn.rtol)
     forces = trajectory.forces("FR_FOOT on plane", np.linspace(0.49, 0.5, 200))

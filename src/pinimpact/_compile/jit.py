@@ -91,8 +91,7 @@ def _compiled(function: F, **options: Any) -> F:
     """Compile a kernel in each of its callers."""
     if not WHY_PLAIN:
         options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InlinedCompiler}
-    compiled: F = numba.njit(**_OPTIONS, **options)(function)
-    return compiled
+    return _typed(numba.njit(**_OPTIONS, **options)(function))
 
 
 def _bitcode(function: F, **options: Any) -> F:
@@ -126,13 +125,18 @@ def _cached(function: F, pipeline: Any, **options: Any) -> F:
     )
     if hasattr(compiled, "py_func"):
         compiled._cache, compiled.is_bitcode = cache.KernelCache(compiled), pipeline is BitcodeCompiler
-        if pipeline is KernelCompiler:
-            compiled.get_call_template = partial(_type_call, compiled.get_call_template)
+    return _typed(compiled)
+
+
+def _typed(compiled: Any) -> Any:
+    """Return a kernel that other kernels call with literals as numbers: their values would be types."""
+    if hasattr(compiled, "py_func"):
+        compiled.get_call_template = partial(_type_call, compiled.get_call_template)
     return compiled
 
 
 def _type_call(typed: Callable[..., Any], arguments: Sequence[Any], named: dict[str, Any]) -> Any:
-    """Type a call of a kernel by numba's method, with literals as numbers: their values would be types."""
+    """Type a call of a kernel by numba's method."""
     return typed(tuple(map(unliteral, arguments)), named)
 
 

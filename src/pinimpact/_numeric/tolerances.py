@@ -40,8 +40,8 @@ SMALL = 1e-5
 its square, 10⁻¹⁰."""
 
 LARGE = 0.1
-"""Compliance, relative to the same, from whose solution those of small ones are continued: of two solutions at
-small compliances, which for r = 3e-3 still depend on the start of Newton's method, one is left."""
+"""Compliance, relative to the same, from whose solution those of small ones are continued. Where there are
+two at small compliances, one is left; at `SOFTEST` the start of Newton's method could still choose."""
 
 # ---- Coulomb's law in the velocities
 
