@@ -100,6 +100,7 @@ class Saltation:
         if loaded.all():
             return self._admitted(x, mode, gaps)
         rows, metres = mode.rows[gaps[~loaded]], self._dynamics.work.joint_metres
+        rows = rows[rows[:, nv:].any(axis=1)]  # not of contacts along whose normal the robot cannot move
         others = mode._replace(rows=mode.rows[kept], response=mode.response[:, kept])
         free = self._admitted(x, others, np.searchsorted(np.flatnonzero(kept), gaps[loaded]))
         pushed = np.zeros_like(x)
