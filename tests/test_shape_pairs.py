@@ -509,8 +509,8 @@ def test_box_that_slides_over_an_edge_does_not_depend_on_a_fast_shaft(turn):
         found.append(simulate(scene, q0, v0, 0.3, scheme="event-driven", rtol=1e-10).q[-1, :14])
     assert found[0][9] < 0.12  # it has tipped over the edge
     # corners that share friction yield within steps, whose sizes depend on the shaft
-    assert found[1] == pytest.approx(found[0], abs=3e-8)
-    assert found[2] == pytest.approx(found[0], abs=3e-8)
+    assert found[1] == pytest.approx(found[0], abs=2e-7)
+    assert found[2] == pytest.approx(found[0], abs=2e-7)
 
 
 @pytest.mark.parametrize("restitution", [1.0, 0.8])
