@@ -220,22 +220,26 @@ def curved_contacts(work, q, v, what, response, delassus, force):
     for a in range(len(force)):
         if a >= 3 * nc or undecided[a // 3] == 0:
             add(motion, force[a], response[a])
-    near = work.touching_gap
-    size = near / (4.0 * ROUNDING)
+    near, size = work.touching_gap, work.gap_floor / ROUNDING
     # so fast that rounding errors of the other accelerations do not matter
     speed = math.sqrt((work.gravity + LEAST_SIZE + fastest_of(metres, motion)) * size)
     time = LITTLE * size / speed
     jacobian, acceleration, unused = np.empty((3, n)), np.empty(3), np.empty(3)
     for j in range(-1, n):
+        left = nonzero(undecided)
+        if len(left) == 0:
+            break
         if j >= 0:
             filled(motion, 0.0)
             motion[j] = 1.0
         fastest = fastest_of(metres, motion)
-        for i in range(n if fastest > 0.0 else 0):
+        if fastest == 0.0:
+            continue
+        for i in range(n):
             motion[i] *= speed / fastest
         set_state(work, q, motion)
         call_python(work, ABA)
-        for k in nonzero(undecided):
+        for k in left:
             row = rows[3 * k + 2]
             gap = motion_of_contact(work, what.contacts[k], jacobian, unused, acceleration, unused)
             rise = 0.5 * time**2 * (acceleration[2] - dot(row, work.acceleration))
