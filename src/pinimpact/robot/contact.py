@@ -53,8 +53,8 @@ class Contact:
         sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact; None for `friction`.
         stiffness: Relative normal stiffness > 0, for several contacts that collide at one instant.
         geometry: Name of a collision shape of the robot, instead of a frame.
-        rim_points: Number of points, ≥ 3, that replace each rim of a cylinder or cone, so that it can stand
-            on its face and touch other surfaces than planes; None for smooth rims, which roll.
+        rim_points: Number of points, ≥ 3, that replace each rim of a cylinder or cone, so that it can touch
+            other surfaces than planes; None for smooth rims, which roll, and stand on `RIM_POINTS` points.
         rim: Radius of a circle about the offset, for contact with a plane [m], 0 for none.
         axis: Axis of that circle, in the frame's axes, of any nonzero length. Stored as a unit vector.
         shape: Name of the collision shape of the point; set by `tips`.
@@ -210,6 +210,26 @@ class Contact:
             PlacedRobot(model, data, q)
             return float(gap(a.placed(data), b.placed(data)).value)
         return min(tip.gap(model, data, q) for tip in self.tips(model))
+
+
+RIM_POINTS = 12
+"""Number of points that represent a rim while it lies flat: tipping takes at least cos(π/24) = .991 of the
+torque that it takes on the circle. (theory.md, 15.1)"""
+
+
+def points_of_rim(contact: Contact) -> list[Contact]:
+    """Return the contacts of `RIM_POINTS` points of a rim, evenly spaced."""
+    u = np.array(contact.axis)
+    first = np.cross(u, np.eye(3)[np.abs(u).argmin()])
+    first = np.cross(first / np.linalg.norm(first), u)
+    angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    places = np.array(contact.offset) + contact.rim * (
+        np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(u, first))
+    )
+    return [
+        replace(contact, rim=0.0, axis=(0.0, 0.0, 1.0), offset=(x, y, z), name=f"{contact.label} point {k}")
+        for k, (x, y, z) in enumerate(places.tolist())
+    ]
 
 
 def is_pair(robot: Any, contact: Contact) -> bool:

@@ -10,19 +10,22 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from .._numeric.tolerances import ROUNDING
-from ..arrays import Array
 from ..errors import InputError
 from ..geometry.tolerances import NEAREST
-from .contact import Contact
+from .contact import Contact, points_of_rim
 from .placed_robot import PlacedRobot
 
 
 def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
     """Return the tips of a contact of a collision shape with the smallest gap at q (nq,).
 
+    A rim that lies flat is replaced by points of its circle, see `points_of_rim`.
+
     `Contact.gap` lists the fields of `data` that change.
     """
-    tips, placed = contact.tips(robot), PlacedRobot(robot, data, q)
+    placed, tips = PlacedRobot(robot, data, q), list[Contact]()
+    for tip in contact.tips(robot):
+        tips += points_of_rim(tip) if lies_flat(placed, tip) else [tip]
     found = [placed.locate(tip) for tip in tips]
     gaps = np.array([gap for gap, _, _ in found])
     largest = max(float(np.abs(point).max()) for _, _, point in found)
@@ -32,18 +35,17 @@ def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) ->
 def check_rims(placed: PlacedRobot, contacts: Iterable[Contact]) -> None:
     """Raise `InputError` for an impact at a rim that lies flat on its plane."""
     for contact in contacts:
-        if contact.rim > 0.0 and float(np.linalg.norm(tilt_of_rim(placed, contact))) <= ROUNDING:
+        if lies_flat(placed, contact):
             raise InputError(f"contact: {flat_rim(contact)}", value=contact)
 
 
-def tilt_of_rim(placed: PlacedRobot, contact: Contact) -> Array:
-    """Return u × n (3,) in the axes of the plane's carrier.
-
-    Its length is the sine of the angle between a rim and its plane; its lowest point is perpendicular to it.
-    """
+def lies_flat(placed: PlacedRobot, contact: Contact) -> bool:
+    """Return whether a contact is a rim parallel to its plane: |u × n|, the sine of its tilt, is zero."""
+    if contact.rim == 0.0:
+        return False
     frame, carrier = placed.placements(contact)
     axis = carrier[:3, :3].T @ (frame[:3, :3] @ contact.axis)
-    return np.cross(axis, contact.plane.axes[2])
+    return float(np.linalg.norm(np.cross(axis, contact.plane.axes[2]))) <= ROUNDING
 
 
 def flat_rim(contact: Contact) -> str:

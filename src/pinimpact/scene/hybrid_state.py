@@ -48,6 +48,7 @@ class HybridState:
         forces_unique: Whether forces were unique where the smooth motion began.
         forces_beyond: Whether forces have exceeded their bounds.
         touching: Contacts of the pairs of convex shapes that touch, by number of the pair.
+        flat: Numbers of the rims that lie flat.
         signs, counts: For each user event, the sign of its guard and the number of times it has happened.
         instant, happened: Time of the last user event [s], and the events that have happened at that time.
         length: Step size to try next [s].
@@ -85,6 +86,7 @@ class HybridState:
     forces_unique: bool = True
     forces_beyond: bool = False
     touching: dict[int, Touching] = field(default_factory=dict)
+    flat: frozenset[int] = frozenset()
 
     signs: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()

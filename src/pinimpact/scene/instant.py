@@ -105,7 +105,7 @@ class Instant:
         work.stick_speed = STICK_FRACTION * resting_speed
         self.shapes = ShapeWatch(model, layout, self.dynamics, state)
         self.shapes.tolerance = work.touching_gap
-        self.rims = Rims(model, data, self.dynamics, state)
+        self.rims = Rims(self.dynamics, state)
         self._where = np.zeros(len(self.names), dtype=np.int64)  # APART, ARRIVING or STRUCK
         self._slow = np.zeros(len(self.names), dtype=np.int64)  # touches without bouncing
         self._hit = np.zeros(len(self.names), dtype=bool)  # collided at this instant
@@ -158,7 +158,8 @@ class Instant:
             q, v = self.state.q, self.state.v
             parting = max(self.dynamics.error(v), work.resting_speed)
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
-            self.rims.check(where, work.touching_gap)
+            if self.rims and self.rims.lie_down(where, starting):
+                continue
             if self.impacts.refuses and not resolved:
                 touching = np.flatnonzero(where[: work.contacts] != APART)
                 self.impacts.refuse_crowd(touching, AT_REST if starting and i < 0 else CROWD)
@@ -219,7 +220,6 @@ class Instant:
                 near = np.isfinite(rates)
                 parting = np.maximum(self.dynamics.work.resting_speed, np.where(pressed, rates, 0.0))
             self._where[:] = np.where((rates <= parting) & near, ARRIVING, APART)
-            self.rims.check(self._where, max(touching, -soon * float(rates[i])))
             try:
                 resolved += self._strike(i, -float(rates[i]), resolved)
             except CrowdError as crowd:

@@ -30,6 +30,7 @@ from .mode_intervals import drive_name
 from .options import Options
 from .progress import Progress
 from .recorder import Mark
+from .rims import Tilting
 from .scene import Scene
 from .shape_watch import Meeting
 from .smooth_steps import Outcome, SmoothSteps
@@ -82,7 +83,7 @@ class Integrator:
         self.state = state_at(model, self.data, q0, v0) if state is None else state.copy(memory=None)
         self.instant = Instant(scene, model, self.data, self.state, state is None, self.options.dt)
         self.record, self.dynamics = self.instant.record, self.instant.dynamics
-        self.shapes = self.instant.shapes
+        self.shapes, self.rims = self.instant.shapes, self.instant.rims
         work = self.work = self.dynamics.work
         work.rtol, work.atol = self.options.rtol, self.options.atol
         work.drift_tolerance = self.shapes.tolerance = max(work.touching_gap, work.atol)
@@ -123,6 +124,7 @@ class Integrator:
             values, directions = state.memory
             self.dynamics.set_values(values)
             self.shapes.continue_with(directions)
+            self.rims.place()
 
     def value(self) -> HybridState:
         """Return the complete state, including the workspace, for copies, pickling and comparison."""
@@ -299,11 +301,17 @@ class Integrator:
             meeting = self.shapes.within(step, min(time, step.end))
             if meeting is not None:
                 time, arriving = meeting.time, None
+        tilting = self.rims.tilting(step, min(time, step.end)) if state.flat else None
+        if tilting is not None:
+            time, arriving, meeting = tilting.time, None, None
         if self.events:
             interruption = self.events.within(step, min(time, step.end))
             if interruption is not None:
                 self._interrupt(step, interruption)
                 return natural
+        if tilting is not None:
+            self._end_at_tilting(step, tilting)
+            return natural
         if meeting is not None:
             self._end_at_meeting(step, meeting)
             return natural
@@ -313,13 +321,16 @@ class Integrator:
         self._advance_over(outcome, stop)
         if not regular:
             self._check_end()
+        fallen = self.rims.fallen() if self.rims else []
+        if fallen:
+            self._settle_and_begin(fallen)
         self._sample()
         return state.length
 
     def _completes(self, outcome: Outcome, stop: float) -> bool:
         """Accept a step in which nothing happens, and return whether it was one; others are for `_step`."""
         step, _, time, *_ = outcome
-        if time <= step.end or not self.work.regular or self.shapes or self.events:
+        if time <= step.end or not self.work.regular or self.shapes or self.events or self.rims:
             return False
         self.state.steps += 1
         self.record.dense_steps.append(step)
@@ -447,6 +458,13 @@ class Integrator:
         self._cut(step, meeting.time)
         self._correct_drift()
         self._settle_and_begin(self.shapes.meet(meeting, step) or None)
+        self._sample()
+
+    def _end_at_tilting(self, step: DenseStep, tilting: Tilting) -> None:
+        """End a step where a rim that lies flat begins to tilt."""
+        self._cut(step, tilting.time)
+        self._correct_drift()
+        self._settle_and_begin(self.rims.stand_up(tilting.rim))
         self._sample()
 
     def _settle_and_begin(self, arriving: Arriving = None) -> None:

@@ -362,7 +362,7 @@ def runs(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
 
 def _together(one: Contact, other: Contact) -> bool:
     same = one.shape is not None and one.shape == other.shape and one.frame == other.frame
-    return same and one.pair is None and one.plane == other.plane
+    return same and one.pair is None and one.plane == other.plane and not (one.rim or other.rim)
 
 
 def bounding_sphere(contacts: Sequence[Contact]) -> Contact | None:

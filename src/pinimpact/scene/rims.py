@@ -1,81 +1,220 @@
-"""Contacts that are rims. A rim that lies flat touches along the whole circle, which raises an error."""
+"""Rims of a motion: tilted, each touches at its lowest point; flat, at the points of its circle. (15.1)"""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from ..arrays import Array, Integers
 from ..errors import SimulationError
-from ..robot.placed_robot import PlacedRobot
-from ..robot.touching import flat_rim, tilt_of_rim
-from ._kernels.approach import APART
+from ..geometry._kernels.constants import ABSENT, KIND
+from ..robot.contact import RIM_POINTS, Contact, points_of_rim
+from ..robot.touching import flat_rim
+from ._kernels.approach import APART, ARRIVING
 from ._kernels.contact_forces import FREE
+from ._kernels.rim_location import rims_at
 from ._kernels.step_rows import StepResult, StepRows
-from ._kernels.tolerances import NEARLY_SINGULAR
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
+from .event_watch import crossing
 from .hybrid_state import HybridState
+
+SAGITTA = 1.0 - math.cos(math.pi / RIM_POINTS)
+"""Largest distance of a rim from the polygon of its points, relative to its radius."""
+
+PASSES, STANDS = 2.0, 4.0
+"""Time steps: a rim lies flat if its tilt is less than `PASSES` times its change in the step, so that it may
+pass through zero, and until it is more than `STANDS` times that change."""
+
+
+class Tilting(NamedTuple):
+    """A rim that lies flat begins to tilt.
+
+    Attributes:
+        time: The time [s].
+        rim: Number of the rim.
+    """
+
+    time: float
+    rim: int
 
 
 class Rims:
-    """The rims of a motion; checks raise a `SimulationError` if one lies flat."""
+    """The contacts of a motion that are rims, and the contacts at points of their circles.
 
-    def __init__(self, model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState) -> None:
-        self._model, self._data, self._dynamics, self._state = model, data, dynamics, state
-        self._rims = [k for k, contact in enumerate(dynamics.contacts) if contact.rim > 0.0]
+    Of each rim, either the contact at its lowest point is in the workspace or, while it lies flat, those at
+    the points of its circle; `HybridState.flat` lists the rims that lie flat.
+    """
+
+    def __init__(self, dynamics: SceneDynamics, state: HybridState) -> None:
+        self._dynamics, self._state, self._work = dynamics, state, dynamics.work
+        every, work = dynamics.contacts, self._work
+        self._rims = np.array([k for k, one in enumerate(every) if one.rim > 0.0], dtype=np.int64)
+        self._points = dict(zip(self._rims.tolist(), points_of(every, self._rims), strict=True))
+        self._radii = np.array([every[k].rim for k in self._rims])
+        self._constants, self._joints = work.contact_constants.copy(), work.contact_joints.copy()
+        self.place()
 
     def __bool__(self) -> bool:
         """Whether there are any."""
-        return bool(self._rims)
+        return len(self._rims) > 0
 
-    def jump(self, q: Array, later: Array) -> bool:
-        """Whether the lowest point of an active rim turns by a right angle or more from q to `later`.
+    def place(self) -> None:
+        """Set the contacts in the workspace by the rims that lie flat."""
+        self._placed = self._state.flat
+        for rim, points in self._points.items():
+            flat = rim in self._placed
+            for i in points:
+                self._set(i, flat)
+            if points:
+                self._set(rim, not flat)
 
-        However short the step is, it does if the rim passes through a flat position.
+    def _set(self, i: int, present: bool) -> None:
+        work = self._work
+        work.contact_constants[i], work.contact_joints[i] = self._constants[i], self._joints[i] * present
+        if not present:
+            work.contact_constants[i, KIND], work.modes[i] = ABSENT, FREE
+
+    def _change(self, flat: Iterable[int]) -> None:
+        """Set which rims lie flat.
+
+        Raises:
+            SimulationError: A held rim, which has no other contact than its lowest point.
         """
-        closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
-        if not closed:
-            return False
-        tilts = [self._tilts(closed, at) for at in (q, later)]
-        return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
+        chosen = frozenset(flat)
+        for rim in chosen:
+            if not self._points[rim]:
+                contact = self._dynamics.contacts[rim]
+                raise SimulationError(
+                    f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact
+                )
+        self._state.flat = chosen
+        if chosen != self._placed:
+            self.place()
 
-    def refuse_flat(self) -> None:
-        """Check that no active rim lies flat, within the resolution of steps."""
-        closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
-        self._refuse_flat(closed, self._dynamics.work.touching_gap, NEARLY_SINGULAR)
+    def _motion(self, q: Array, v: Array) -> Array:
+        """Return the motion (k, 8) of all rims at a state, see `rims_at`."""
+        found = np.empty((len(self._rims), 8))
+        rims_at(self._work, q, v, self._constants[self._rims], self._joints[self._rims], found)
+        self._dynamics.check()
+        return found
 
-    def check(self, where: Integers, touching: float) -> None:
-        """Check that no touching rim touches along its whole circle, to a distance [m]."""
-        self._refuse_flat([k for k in self._rims if where[k] != APART], touching, 0.0)
+    def _tilts(self, q: Array, v: Array) -> Array:
+        """Return u × n (k, 3) of all rims, whose lengths are the sines of their tilts."""
+        return self._motion(q, v)[:, 2:5]
 
-    def check_step(self, rows: StepRows, found: StepResult, step: DenseStep) -> None:
-        """Check that no rim with an impulse in a time step lies flat in it: its lowest point would jump."""
-        if not self._rims:
-            return
-        pressed = rows.contacts[found.impulse[rows.normals[: len(rows.contacts)]] > 0.0]
-        rims = [k for k in self._rims if k in pressed]
-        tilts = [self._tilts(rims, at) for at in (step.q, step.at(step.end)[0])]
-        for k, one, other in zip(rims, *tilts, strict=True):
-            if float(one @ other) <= 0.0:
-                self._refuse(k)
+    # ---- event-driven steps
 
-    def _refuse_flat(self, rims: list[int], touching: float, least: float) -> None:
-        """Check that no whole rim is within a distance [m], and no sine of a tilt below `least`."""
-        for k, tilt in zip(rims, self._tilts(rims, self._state.q), strict=True):
-            size = float(np.linalg.norm(tilt))
-            if 2.0 * self._dynamics.contacts[k].rim * size <= touching or size < least:
-                self._refuse(k)
+    def lie_down(self, where: Integers, starting: bool) -> bool:
+        """Replace the touching rims that lie flat by their points, and return whether there are any.
 
-    def _refuse(self, rim: int) -> None:
-        contact = self._dynamics.contacts[rim]
-        raise SimulationError(f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact)
+        Args:
+            where: (n + nl,) state of the contacts and limits, see `approach`; updated.
+            starting: Whether the motion starts now.
+        """
+        touching = [k for k in self._rims.tolist() if where[k] != APART]
+        flat = [k for k in touching if k in self._flat(self._state.q, self._state.v)]
+        self._change(self._state.flat.union(flat))
+        for k in flat:
+            where[self._points[k]] = ARRIVING
+            where[k] = APART
+        return bool(flat)
 
-    def _tilts(self, rims: list[int], q: Array) -> list[Array]:
-        """Return u × n (3,) for each rim, see `tilt_of_rim`."""
-        if not rims:
+    def _flat(self, q: Array, v: Array) -> list[int]:
+        """Return the numbers of the rims that are parallel to their planes, within the tolerance of gaps."""
+        heights = 2.0 * self._radii * np.linalg.norm(self._tilts(q, v), axis=1)
+        return self._rims[heights <= self._work.drift_tolerance].tolist()
+
+    def fallen(self) -> list[int]:
+        """Return the numbers of the active rims that have become flat."""
+        active = [k for k in self._rims.tolist() if self._work.modes[k] != FREE]
+        if not active:
             return []
-        placed = PlacedRobot(self._model, self._data, q)
-        return [tilt_of_rim(placed, self._dynamics.contacts[k]) for k in rims]
+        flat = self._flat(self._state.q, self._state.v)
+        return [k for k in active if k in flat]
+
+    def turn(self) -> float:
+        """Return the part of the present step to take instead, as an active rim passes through flat; 1: all.
+
+        It is the part after which the rim would be flat within the tolerance if its tilt changed at a constant
+        rate, and one half of a step over which the lowest point turns by a right angle or more otherwise.
+        """
+        work = self._work
+        active = work.modes[self._rims] != FREE
+        if not active.any():
+            return 1.0
+        before, after = self._tilts(work.q0, work.v0)[active], self._tilts(work.q1, work.v1)[active]
+        along, size = (before * after).sum(axis=1), np.linalg.norm(before, axis=1)
+        turned = along <= 0.0
+        if not turned.any():
+            return 1.0
+        short = size - 0.25 * work.drift_tolerance / self._radii[active]
+        part = float((short * size)[turned].min() / (size * size - along)[turned].max())
+        return part if part < 0.9 else 0.5
+
+    def tilting(self, step: DenseStep, end: float) -> Tilting | None:
+        """Return where the first flat rim tilts by more than the tolerance in a step up to a time [s]."""
+        found: Tilting | None = None
+        for k in sorted(self._state.flat):
+            row = int(np.searchsorted(self._rims, k))
+            limit = self._work.drift_tolerance / (SAGITTA * self._radii[row])
+
+            def left(t: float, row: int = row, limit: float = limit) -> float:
+                return limit - float(np.linalg.norm(self._tilts(*step.at(t))[row]))
+
+            if left(end) <= 0.0:
+                end = crossing(left, step.start, end, step.h)
+                found = Tilting(end, k)
+        return found
+
+    def stand_up(self, rim: int) -> list[int] | None:
+        """Replace the points of a rim by its lowest point; return its number if any of them was active."""
+        active = (self._work.modes[self._points[rim]] != FREE).any()
+        self._change(self._state.flat - {rim})
+        return [rim] if active else None
+
+    def restart(self) -> None:
+        """Set which rims lie flat at the present state, after time steps."""
+        heights = self._radii * np.linalg.norm(self._tilts(self._state.q, self._state.v), axis=1)
+        lies = np.isin(self._rims, list(self._state.flat))
+        flat = np.where(lies, SAGITTA, 2.0) * heights <= self._work.drift_tolerance
+        self._change(self._rims[flat].tolist())
+
+    # ---- time steps
+
+    def choose(
+        self, q: Array, v: Array, h: float, gravity: float, touching: float, kept: Sequence[int]
+    ) -> None:
+        """Set which rims lie flat in a time step: those whose tilt may pass through zero.
+
+        Args:
+            q: (nq,) configuration at the midpoint.
+            v: (nv,) velocity.
+            h: Step size [s].
+            gravity: Acceleration of gravity [m/s²].
+            touching: Gap up to which contacts are closed [m].
+            kept: Rims that lie flat in any case.
+        """
+        motion = self._motion(q, v)
+        tilt, rate = (np.linalg.norm(motion[:, part], axis=1) for part in (slice(2, 5), slice(5, 8)))
+        change = h * rate + h * h * gravity / self._radii
+        lies = np.isin(self._rims, list(self._state.flat))
+        flat = (tilt <= np.where(lies, STANDS, PASSES) * change) | (2.0 * self._radii * tilt <= touching)
+        self._change({*self._rims[flat].tolist(), *kept})
+
+    def reversed(self, rows: StepRows, found: StepResult, step: DenseStep) -> list[int]:
+        """Return the rims with an impulse in a time step whose tilt passes through zero in it."""
+        pressed = rows.contacts[found.impulse[rows.normals[: len(rows.contacts)]] > 0.0]
+        tilts = [self._tilts(*at) for at in ((step.q, step.v), step.at(step.end))]
+        turned = (tilts[0] * tilts[1]).sum(axis=1) <= 0.0
+        return [k for k in self._rims[turned].tolist() if k in pressed]
+
+
+def points_of(contacts: Sequence[Contact], rims: Integers) -> list[list[int]]:
+    """Return the numbers of the contacts at the points of each rim; none for a held rim."""
+    numbers = {contact.label: i for i, contact in enumerate(contacts)}
+    labels = ([point.label for point in points_of_rim(contacts[k])] for k in rims)
+    return [[numbers[label] for label in of if label in numbers] for of in labels]

@@ -19,7 +19,7 @@ from ..display import changed_fields
 from ..errors import InputError, ModelError
 from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
-from ..robot.contact import Contact, check_contact, check_surface, is_pair
+from ..robot.contact import Contact, check_contact, check_surface, is_pair, points_of_rim
 from ..robot.names import (
     ShapedRobot,
     frame_id,
@@ -110,9 +110,9 @@ class Scene:
         tips, default = self._tips(self.contacts)
         contacts, held = _contacts("contacts", tips, self.model), _contacts("held", self.held, self.model)
         named = _named([*contacts, *held], [*default, *(contact.name is None for contact in held)])
-        assign(self, "contacts", tuple(named[: len(contacts)]))
+        assign(self, "contacts", _with_rim_points(named[: len(contacts)]))
         assign(self, "held", tuple(named[len(contacts) :]))
-        self._check_names([contact.label for contact in named])
+        self._check_names([contact.label for contact in (*self.contacts, *self.held)])
         assign(self, "locked", joint_keys(self.locked))
         free_velocities(self.model, self.locked)
         assign(self, "events", as_events(self.events))
@@ -345,6 +345,16 @@ def _named(contacts: Sequence[Contact], default: Sequence[bool]) -> list[Contact
         contact if contact.label == label else replace(contact, name=label)
         for contact, label in zip(contacts, labels, strict=True)
     ]
+
+
+def _with_rim_points(contacts: Sequence[Contact]) -> tuple[Contact, ...]:
+    """Return contacts with those at the points of rims, which replace each rim while it lies flat."""
+    given, found = {contact.label for contact in contacts}, list[Contact]()
+    for contact in contacts:
+        found.append(contact)
+        if contact.rim > 0.0:
+            found += [point for point in points_of_rim(contact) if point.label not in given]
+    return tuple(found)
 
 
 def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...]:

@@ -11,20 +11,38 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import declared
-from ..._compile.jit import external, inlined
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
 from ..._numeric.tolerances import EPS
 from ...geometry._kernels.constants import RIM
 from ...robot._kernels import contact_motion
 from .dense_output import set_state_within
-from .dynamics import compute_kinematics
+from .dynamics import compute_kinematics, set_state
 from .event_location import search_for_touch
 from .gap_bounds import curvatures, rim_clear, rim_gap
 from .workspace import SceneWorkspace
 
 DEPTH = 80
 """Largest number of halvings of a step."""
+
+
+@declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS)
+@jit
+def rims_at(work, q, v, constants, joints, out):
+    """Fill out (k, 8), see `contact_motion.rim_and_rates`, for rims at a state.
+
+    `constants` (k, …) and `joints` (k, 2), of tip and surface, are those of the rims.
+    """
+    set_state(work, q, v)
+    compute_kinematics(work)
+    for i in range(len(out)):
+        tip, carrier = joints[i, 0], joints[i, 1]
+        contact_motion.rim_and_rates(
+            *(work.placements[tip], work.local_velocities[tip]),
+            *(work.placements[carrier], work.local_velocities[carrier]),
+            *(constants[i], out[i]),
+        )
 
 
 @inlined
