@@ -64,18 +64,23 @@ def send(name, after):
     return subprocess.Popen(["/bin/sh", "-c", f"sleep {after}; kill -{name} {os.getpid()}"])
 
 
+def wait_for(kernel, many, sender, finished):
+    """Call a kernel, note that it has finished, and wait for the signal, which must not meet another test."""
+    kernel(many)
+    finished.append(True)
+    sender.wait()
+    time.sleep(1.0)
+
+
 @pytest.mark.parametrize(("kernel", "many"), [(together, 700), (events, 250), (steps, 800)])
 def test_interrupt_ends_long_kernel(kernel, many):
     """With `many` contacts a kernel takes seconds."""
-    before, finished = kernel(FEW), False  # compiled
+    before, finished = kernel(FEW), []  # compiled
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # background processes may ignore it
     sender, begun = send("INT", 0.5), time.perf_counter()
     try:
         with pytest.raises(KeyboardInterrupt):
-            kernel(many)
-            finished = True
-            sender.wait()
-            time.sleep(1.0)
+            wait_for(kernel, many, sender, finished)
         assert not finished
         assert time.perf_counter() - begun < 2.0
     finally:

@@ -58,6 +58,7 @@ class Contact:
         rim: Radius of a circle about the offset, for contact with a plane [m], 0 for none.
         axis: Axis of that circle, in the frame's axes, of any nonzero length. Stored as a unit vector.
         shape: Name of the collision shape of the point; set by `tips`.
+        of_rim: Label of the rim that it replaces, with other points, while the rim lies flat; set by a scene.
         pair: The contact of two shapes to which the point belongs; set by a scene.
 
     Raises:
@@ -81,6 +82,7 @@ class Contact:
     rim: float = 0.0
     axis: Vector = (0.0, 0.0, 1.0)
     shape: str | None = None
+    of_rim: str | None = None
     pair: Contact | None = None
     law_code: int = field(init=False, repr=False, compare=False)
 
@@ -212,8 +214,8 @@ class Contact:
         return min(tip.gap(model, data, q) for tip in self.tips(model))
 
 
-RIM_POINTS = 12
-"""Number of points that represent a rim while it lies flat: tipping takes at least cos(π/24) = .991 of the
+RIM_POINTS = 16
+"""Number of points that represent a rim while it lies flat: tipping takes at least cos(π/16) = .981 of the
 torque that it takes on the circle. (theory.md, 15.1)"""
 
 
@@ -226,8 +228,10 @@ def points_of_rim(contact: Contact) -> list[Contact]:
     places = np.array(contact.offset) + contact.rim * (
         np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(u, first))
     )
+    label = contact.label
+    point = replace(contact, rim=0.0, axis=(0.0, 0.0, 1.0), of_rim=label)
     return [
-        replace(contact, rim=0.0, axis=(0.0, 0.0, 1.0), offset=(x, y, z), name=f"{contact.label} point {k}")
+        replace(point, offset=(x, y, z), name=f"{label} point {k}")
         for k, (x, y, z) in enumerate(places.tolist())
     ]
 

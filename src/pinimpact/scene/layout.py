@@ -361,8 +361,10 @@ def runs(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
 
 
 def _together(one: Contact, other: Contact) -> bool:
-    same = one.shape is not None and one.shape == other.shape and one.frame == other.frame
-    return same and one.pair is None and one.plane == other.plane and not (one.rim or other.rim)
+    if one.rim > 0.0 or other.rim > 0.0 or one.of_rim != other.of_rim:
+        return False
+    same = (one.shape or one.of_rim) is not None and one.shape == other.shape and one.frame == other.frame
+    return same and one.pair is None and one.plane == other.plane
 
 
 def bounding_sphere(contacts: Sequence[Contact]) -> Contact | None:

@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import Array, Integers
 from ..errors import SimulationError
 from ..geometry._kernels.constants import ABSENT, KIND
-from ..robot.contact import RIM_POINTS, Contact, points_of_rim
+from ..robot.contact import RIM_POINTS
 from ..robot.touching import flat_rim
 from ._kernels.approach import APART, ARRIVING
 from ._kernels.contact_forces import FREE
@@ -53,7 +53,9 @@ class Rims:
         self._dynamics, self._state, self._work = dynamics, state, dynamics.work
         every, work = dynamics.contacts, self._work
         self._rims = np.array([k for k, one in enumerate(every) if one.rim > 0.0], dtype=np.int64)
-        self._points = dict(zip(self._rims.tolist(), points_of(every, self._rims), strict=True))
+        self._points = {
+            k: [i for i, one in enumerate(every) if one.of_rim == every[k].label] for k in self._rims.tolist()
+        }
         self._radii = np.array([every[k].rim for k in self._rims])
         self._constants, self._joints = work.contact_constants.copy(), work.contact_joints.copy()
         self.place()
@@ -115,7 +117,7 @@ class Rims:
             where: (n + nl,) state of the contacts and limits, see `approach`; updated.
             starting: Whether the motion starts now.
         """
-        touching = [k for k in self._rims.tolist() if where[k] != APART]
+        touching = [k for k in self._rims.tolist() if where[k] != APART or not self._points[k]]
         flat = [k for k in touching if k in self._flat(self._state.q, self._state.v)]
         self._change(self._state.flat.union(flat))
         for k in flat:
@@ -139,8 +141,8 @@ class Rims:
     def turn(self) -> float:
         """Return the part of the present step to take instead, as an active rim passes through flat; 1: all.
 
-        It is the part after which the rim would be flat within the tolerance if its tilt changed at a constant
-        rate, and one half of a step over which the lowest point turns by a right angle or more otherwise.
+        It is the part after which the rim would be flat within the tolerance if its tilt changed at a
+        constant rate, and one half of a step over which the lowest point turns by a right angle or more.
         """
         work = self._work
         active = work.modes[self._rims] != FREE
@@ -211,10 +213,3 @@ class Rims:
         tilts = [self._tilts(*at) for at in ((step.q, step.v), step.at(step.end))]
         turned = (tilts[0] * tilts[1]).sum(axis=1) <= 0.0
         return [k for k in self._rims[turned].tolist() if k in pressed]
-
-
-def points_of(contacts: Sequence[Contact], rims: Integers) -> list[list[int]]:
-    """Return the numbers of the contacts at the points of each rim; none for a held rim."""
-    numbers = {contact.label: i for i, contact in enumerate(contacts)}
-    labels = ([point.label for point in points_of_rim(contacts[k])] for k in rims)
-    return [[numbers[label] for label in of if label in numbers] for of in labels]

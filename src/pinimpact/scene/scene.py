@@ -349,11 +349,11 @@ def _named(contacts: Sequence[Contact], default: Sequence[bool]) -> list[Contact
 
 def _with_rim_points(contacts: Sequence[Contact]) -> tuple[Contact, ...]:
     """Return contacts with those at the points of rims, which replace each rim while it lies flat."""
-    given, found = {contact.label for contact in contacts}, list[Contact]()
+    given, found = {contact.of_rim for contact in contacts}, list[Contact]()
     for contact in contacts:
         found.append(contact)
-        if contact.rim > 0.0:
-            found += [point for point in points_of_rim(contact) if point.label not in given]
+        if contact.rim > 0.0 and contact.label not in given:
+            found += points_of_rim(contact)
     return tuple(found)
 
 

@@ -166,8 +166,8 @@ class SmoothSteps:
             directions[1] = work.end_directions
         if not error > largest:
             part = self._rims.turn() if self._rims else 1.0
-            if part == 1.0:
-                time = smooth_motion.finish(work, t, h, error)
-            else:
+            if part < 1.0:
                 self._shorter = part
+            else:
+                time = smooth_motion.finish(work, t, h, error)
         return error, time, directions

@@ -21,12 +21,12 @@ ROUND = 24
 
 
 def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> list[Contact]:
-    """Return contacts without those of collision shapes that are never closed.
+    """Return contacts without those of collision shapes and at points of rims that are never closed.
 
     If a surface has only such contacts, one contact of each shape is kept.
     """
     touched = {mode.source for mode in trajectory.modes} | {impact.source for impact in trajectory.impacts}
-    kept = [contact for contact in contacts if contact.shape is None or contact.label in touched]
+    kept = [c for c in contacts if (c.shape is None and c.of_rim is None) or c.label in touched]
     met = {contact.plane for contact in kept}
     others = {(contact.shape, contact.plane): contact for contact in contacts if contact.plane not in met}
     return kept + list(others.values())
@@ -36,7 +36,9 @@ def bodies_of(contact: Contact) -> str:
     """Return the common name of all contact points of the same two bodies."""
     if contact.pair is not None:
         return contact.pair.label
-    return contact.label if contact.shape is None else f"{contact.shape} on {contact.plane.label}"
+    if contact.shape is None:
+        return contact.of_rim or contact.label
+    return f"{contact.shape} on {contact.plane.label}"
 
 
 def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) -> list[dict[str, Any]]:
