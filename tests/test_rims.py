@@ -81,6 +81,34 @@ def test_can_that_lands_flat_bounces_like_a_ball(scheme):
     assert tilt(trajectory.q[-1]) <= 1e-7
 
 
+def flat_cans(count, **coefficients):
+    """Return a scene of free cans in a row."""
+    model, shapes, contacts = pin.Model(), pin.GeometryModel(), []
+    for k in range(count):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"can {k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromCylinder(MASS, RADIUS, LENGTH), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        solid = coal.Cylinder(RADIUS, LENGTH)
+        shapes.addGeometryObject(pin.GeometryObject(f"can {k}", joint, pin.SE3.Identity(), solid))
+        contacts.append(Contact(geometry=f"can {k}", plane=FLOOR, **coefficients))
+    return Scene(pin.RobotWrapper(model, shapes), contacts=contacts)
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+@pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
+def test_many_cans_land_flat_together(scheme):
+    count, e, drop = 8, 0.5, 0.2
+    start = np.concatenate([[0.5 * k, 0, MIDDLE + drop, 0, 0, 0, 1] for k in range(count)])
+    scene, falls = flat_cans(count, friction=0.5, restitution=e), np.sqrt(2 * drop / G)
+    trajectory = run(scene, start, np.zeros(6 * count), falls * (1 + e), 1e-3, scheme=scheme)
+    assert trajectory.q[-1, 2::7] == pytest.approx(np.full(count, MIDDLE + e**2 * drop), abs=1e-3)
+    assert max(tilt(q) for q in trajectory.q[-1].reshape(count, 7)) <= 1e-6
+    moving = np.tile([0.0, 0, -1.0, 0, 0, 0], count)
+    standing = start - np.tile([0, 0, drop, 0, 0, 0, 0], count)
+    trajectory = run(scene, standing, moving, 1e-3, 1e-3, scheme=scheme)
+    assert trajectory.v[-1, 2::6] == pytest.approx(np.full(count, e - 1e-3 * G), abs=1e-6)
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("direction", [0.0, 0.1, np.pi / 16])
 def test_can_slides_down_a_slope_without_tipping(direction, scheme):

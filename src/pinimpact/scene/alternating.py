@@ -198,7 +198,7 @@ class Alternating(TimeStepping):
         self.work.sliding_friction[:] = 0.0
         self._faces.place(state.q, state.v, 0.0, touching=self._touching)
         if self.rims:
-            self.rims.choose(state.q, state.v, self._dt, self._gravity, self._touching, ())
+            self.rims.choose(state.q, state.v, self._dt, self._touching)
         gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
         # the first step stops the contacts that arrive without restitution
         if (self._collides & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
@@ -273,8 +273,6 @@ class Alternating(TimeStepping):
         self._set_crossing(False)
         try:
             filled = self.shapes.restart(state.q, self._touching)
-            if self.rims:
-                self.rims.restart()
             gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
             near = (gaps <= self._touching) & (rates <= work.resting_speed)
             pairs = np.array([c.pair is not None for c in self.dynamics.contacts], dtype=bool)

@@ -124,7 +124,6 @@ class Integrator:
             values, directions = state.memory
             self.dynamics.set_values(values)
             self.shapes.continue_with(directions)
-            self.rims.place()
 
     def value(self) -> HybridState:
         """Return the complete state, including the workspace, for copies, pickling and comparison."""

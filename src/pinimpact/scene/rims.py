@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ from ..robot.touching import flat_rim
 from ._kernels.approach import APART, ARRIVING
 from ._kernels.contact_forces import FREE
 from ._kernels.rim_location import rims_at
-from ._kernels.step_rows import StepResult, StepRows
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .event_watch import crossing
@@ -25,9 +24,9 @@ from .hybrid_state import HybridState
 SAGITTA = 1.0 - math.cos(math.pi / RIM_POINTS)
 """Largest distance of a rim from the polygon of its points, relative to its radius."""
 
-PASSES, STANDS = 2.0, 4.0
-"""Time steps: a rim lies flat if its tilt is less than `PASSES` times its change in the step, so that it may
-pass through zero, and until it is more than `STANDS` times that change."""
+PASSES = 2.0
+"""Time steps: a rim lies flat if its tilt is less than this multiple of its change in the step: it may then
+pass through zero."""
 
 
 class Tilting(NamedTuple):
@@ -66,9 +65,8 @@ class Rims:
 
     def place(self) -> None:
         """Set the contacts in the workspace by the rims that lie flat."""
-        self._placed = self._state.flat
         for rim, points in self._points.items():
-            flat = rim in self._placed
+            flat = rim in self._state.flat
             for i in points:
                 self._set(i, flat)
             if points:
@@ -94,7 +92,8 @@ class Rims:
                     f"contacts: at t = {self._state.t:.6g} s {flat_rim(contact)}", value=contact
                 )
         self._state.flat = chosen
-        if chosen != self._placed:
+        present = self._rims[self._work.contact_constants[self._rims, KIND] == ABSENT]
+        if chosen != frozenset(present.tolist()):
             self.place()
 
     def _motion(self, q: Array, v: Array) -> Array:
@@ -178,38 +177,18 @@ class Rims:
         self._change(self._state.flat - {rim})
         return [rim] if active else None
 
-    def restart(self) -> None:
-        """Set which rims lie flat at the present state, after time steps."""
-        heights = self._radii * np.linalg.norm(self._tilts(self._state.q, self._state.v), axis=1)
-        lies = np.isin(self._rims, list(self._state.flat))
-        flat = np.where(lies, SAGITTA, 2.0) * heights <= self._work.drift_tolerance
-        self._change(self._rims[flat].tolist())
-
     # ---- time steps
 
-    def choose(
-        self, q: Array, v: Array, h: float, gravity: float, touching: float, kept: Sequence[int]
-    ) -> None:
+    def choose(self, q: Array, v: Array, h: float, touching: float) -> None:
         """Set which rims lie flat in a time step: those whose tilt may pass through zero.
 
         Args:
             q: (nq,) configuration at the midpoint.
             v: (nv,) velocity.
             h: Step size [s].
-            gravity: Acceleration of gravity [m/s²].
             touching: Gap up to which contacts are closed [m].
-            kept: Rims that lie flat in any case.
         """
         motion = self._motion(q, v)
         tilt, rate = (np.linalg.norm(motion[:, part], axis=1) for part in (slice(2, 5), slice(5, 8)))
-        change = h * rate + h * h * gravity / self._radii
-        lies = np.isin(self._rims, list(self._state.flat))
-        flat = (tilt <= np.where(lies, STANDS, PASSES) * change) | (2.0 * self._radii * tilt <= touching)
-        self._change({*self._rims[flat].tolist(), *kept})
-
-    def reversed(self, rows: StepRows, found: StepResult, step: DenseStep) -> list[int]:
-        """Return the rims with an impulse in a time step whose tilt passes through zero in it."""
-        pressed = rows.contacts[found.impulse[rows.normals[: len(rows.contacts)]] > 0.0]
-        tilts = [self._tilts(*at) for at in ((step.q, step.v), step.at(step.end))]
-        turned = (tilts[0] * tilts[1]).sum(axis=1) <= 0.0
-        return [k for k in self._rims[turned].tolist() if k in pressed]
+        flat = (tilt <= PASSES * h * rate) | (2.0 * self._radii * tilt <= touching)
+        self._change(self._rims[flat].tolist())

@@ -8,7 +8,6 @@ and follow the scene's law. (theory.md, section 16)
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -106,7 +105,7 @@ class TimeStepping(Integrator):
         if tau is not None:
             self.work.control_force[:] = tau
         if self.rims:
-            self.rims.choose(self.state.q, self.state.v, self._dt, self._gravity, self._touching, ())
+            self.rims.choose(self.state.q, self.state.v, self._dt, self._touching)
         self._collide()
         self._trigger_events()
         self.state.length = self._dt
@@ -157,13 +156,12 @@ class TimeStepping(Integrator):
 
     # ---- one step
 
-    def _take_step(self, h: float, strikes: bool, flat: Sequence[int] = ()) -> int:
+    def _take_step(self, h: float, strikes: bool) -> int:
         """Take a step up to its end or to the first impact or event in it.
 
         Args:
             h: Step size [s].
             strikes: Whether contacts that close fast are impacts; else they close without restitution.
-            flat: Rims that are taken to lie flat.
 
         Returns:
             `WHOLE` or `CUT` if the step is accepted, `PASSED` if it is rejected.
@@ -179,7 +177,7 @@ class TimeStepping(Integrator):
         t, pushed = state.t, state.pushed
         self._faces.place(middle, v, h)
         if self.rims:
-            self.rims.choose(middle, v, h, self._gravity, self._touching, flat)
+            self.rims.choose(middle, v, h, self._touching)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
@@ -191,10 +189,6 @@ class TimeStepping(Integrator):
         if may_be_halved and self._energy.is_gained(step, lost):
             state.pushed, state.step_before = before
             return PASSED
-        reversed_ = self.rims.reversed(rows, found, step) if self.rims else []
-        if reversed_:
-            state.pushed, state.step_before = before
-            return self._take_step(h, strikes, (*flat, *reversed_))
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
         near = rows.near(self.work.contacts)
