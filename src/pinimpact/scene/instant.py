@@ -153,7 +153,7 @@ class Instant:
         self._hit[:] = False
         self.impacts.unresolved, self.impacts.crowd = 0.0, CROWD if self.impacts.refuses else math.inf
         resolved: list[dict[str, Any]] = []
-        jams = 0
+        tried, jams = np.zeros(len(where), dtype=bool), 0
         while True:
             q, v = self.state.q, self.state.v
             parting = max(self.dynamics.error(v), work.resting_speed)
@@ -170,6 +170,11 @@ class Instant:
             before = self.state.v
             jammed, found = self._set_modes(slow)
             if found:
+                tried |= slow != 0
+                # velocities that active contacts lose may bring others to rest
+                i, _ = self.dynamics.fastest_approach(self.state.q, self.state.v, False, parting, where, slow)
+                if i < 0 and (slow.astype(bool) & ~tried).any():
+                    continue
                 break
             jams += 1
             if jams > MOST_JAMS:

@@ -129,9 +129,13 @@ class Rims:
         heights = 2.0 * self._radii * np.linalg.norm(self._tilts(q, v), axis=1)
         return self._rims[heights <= self._work.drift_tolerance].tolist()
 
+    def active(self) -> list[int]:
+        """Return the numbers of the rims whose lowest points are in contact."""
+        return [k for k in self._rims.tolist() if self._work.modes[k] != FREE]
+
     def fallen(self) -> list[int]:
         """Return the numbers of the active rims that have become flat."""
-        active = [k for k in self._rims.tolist() if self._work.modes[k] != FREE]
+        active = self.active()
         if not active:
             return []
         flat = self._flat(self._state.q, self._state.v)
