@@ -432,6 +432,7 @@ def test_time_steps_take_over_where_event_driven_steps_cost_more(
         **{"work": SimpleNamespace(active_contacts=contacts), "model": SimpleNamespace(nv=velocities)},
         **{"record": record, "instant": SimpleNamespace(record=record), "_longest": dt},
         state=SimpleNamespace(events_since=0),
+        rims=(),
     )
     if takes_over:
         with pytest.raises(IrregularMotionError, match=f"50 steps cover .* active contacts: {contacts}"):
