@@ -72,26 +72,31 @@ def test_kernels_run_by_plain_numba(package: Path) -> None:
     assert "JITCodeLibrary" in without[1]
 
 
-IMPACTS = """
+IN_CONTACT_SPACE = """
 import json, numpy as np, pinimpact as p
 rng = np.random.default_rng(1)
 X = rng.standard_normal((200, 3, 7))
 v = rng.standard_normal((200, 3))
 v[:, 2] = -abs(v[:, 2])
 found = [p.solve_impacts(X @ X.transpose(0, 2, 1) / 7, v, 0.3, 0.5, law) for law in ("poisson", "energetic")]
+print(json.dumps([one.velocity.tolist() for one in found]))
+"""
+
+OF_A_ROBOT = """
+import json, numpy as np, pinimpact as p
 robot = p.load_robot("panda")
 hand = p.Contact("panda_hand_tcp", p.Plane(), friction=0.4, restitution=0.5)
 q = np.array([0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02])
-hit = p.impact(robot.model, robot.data, q, np.eye(9)[1], hand)
-print(json.dumps([*(one.velocity.tolist() for one in found), hit.v.tolist()]))
+print(json.dumps([p.impact(robot.model, robot.data, q, np.eye(9)[1], hand).v.tolist()]))
 """
 
 
 @pytest.mark.slow
-def test_impacts_agree_to_rounding() -> None:
+@pytest.mark.parametrize("code", [IN_CONTACT_SPACE, pytest.param(OF_A_ROBOT, marks=pytest.mark.exhaustive)])
+def test_impacts_agree_to_rounding(code: str) -> None:
     def impacts(chosen: str) -> list[np.ndarray]:
         environment = os.environ | {plain.VARIABLE: chosen}
-        command = [sys.executable, "-c", IMPACTS]
+        command = [sys.executable, "-c", code]
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
         assert done.returncode == 0, done.stderr
         return [np.array(one) for one in json.loads(done.stdout)]
