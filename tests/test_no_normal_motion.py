@@ -241,3 +241,23 @@ def test_stretched_arm_leaves_the_wall_at_its_full_reach(course, mu):
             expected.y[:, -1], abs=1e-7
         )
         assert not trajectory.impacts
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.5])
+@pytest.mark.parametrize("e", [0.0, 0.5])
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_pendulum_that_touches_the_floor_at_its_lowest_point_swings_through(scheme, e, mu):
+    """Nothing slows it: the tip meets the floor in one point, at zero normal velocity."""
+    model = pin.Model()
+    hinge = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    tip = np.array([0.0, 0.0, -1.0])
+    model.appendBodyToJoint(hinge, pin.Inertia(1.0, tip, np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", hinge, 0, pin.SE3(np.eye(3), tip), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.gravity.linear[:] = 0.0
+    scene = Scene(model, [Contact("tip", Plane(tip, (0.0, 0.0, 1.0)), friction=mu, restitution=e)])
+    steps = [{}] if scheme == "event-driven" else [{"dt": 1e-3}, {"dt": 3e-4}]
+    for start in np.linspace(0.05, 0.0513, 14).tolist():  # steps begin anywhere about the lowest point
+        for options in steps:
+            trajectory = simulate(scene, [-start], [1.0], 0.12, scheme=scheme, **options)
+            assert trajectory.v[-1, 0] == pytest.approx(1.0, abs=1e-7)

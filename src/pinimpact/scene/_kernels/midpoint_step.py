@@ -126,8 +126,9 @@ def bend_rows(work, h, rows, acceleration, turning, offset, found):
     """Add ∓½h J̇ v to the contact velocities at the start and end of a step, and −⅛h² J̇ v to the gaps. (16.2)
 
     Rows are those of the midpoint; J̇ v is their change along the velocity. A path whose ends are on the
-    surface is off it by ⅛h² J̇ v at the midpoint. Tangential velocities are in fixed axes, the normal follows
-    the surface, as the gap rate does.
+    surface is off it by ⅛h² J̇ v at the midpoint. The gaps of contacts that are open at the start, on paths
+    that bend away from the surface, stay as they are. Tangential velocities are in fixed axes, the normal
+    follows the surface, as the gap rate does.
 
     Args:
         work: The workspace.
@@ -143,10 +144,12 @@ def bend_rows(work, h, rows, acceleration, turning, offset, found):
         for e in range(3):
             still = turning[k, e] if e < 2 else 0.0
             bend = acceleration[k, e] + still - bends[3 * k + e]
+            if e == 2:
+                opened = k < len(rows.contacts) and bend > 0.0
+                if not (opened and rows.gap[k] >= 0.5 * h * found.u_start[3 * k + e]):
+                    rows.gap[k] -= 0.125 * h * h * bend
             found.u_start[3 * k + e] -= 0.5 * h * bend
             offset[3 * k + e] += 0.5 * h * bend
-            if e == 2:
-                rows.gap[k] -= 0.125 * h * h * bend
 
 
 @inlined
