@@ -46,10 +46,11 @@ ACCUMULATING, BRIEF, RARE = 200, 0.01, 0.05
 end at events. If fewer do, but this part at least, the time per event is what counts: after each event, stiff
 joints may take many steps to settle."""
 
-LOOKED_AT, COSTLY, SOME = 50, 5.4e4, 0.1
-"""Time steps take over if this number of steps is on average shorter than `dt` times n² nv / `COSTLY`, or
-than `dt`, and this part of them ends at events. An event-driven step takes a time in proportion to n² nv,
-with n active contacts and nv velocities; with 30 contacts of 10 free bodies it takes that of a time step."""
+EARLY, LOOKED_AT, COSTLY, SOME = 10, 50, 5.4e4, 0.1
+"""Time steps take over if `LOOKED_AT` steps are on average shorter than `dt` times n² nv / `COSTLY`, or than
+`dt`, and `SOME` of them end at events; `EARLY` ones if they are shorter by `BRIEF`. An event-driven step takes
+a time in proportion to n² nv, with n active contacts and nv velocities; with 30 contacts of 10 free bodies it
+takes that of a time step."""
 
 
 class Alternating(TimeStepping):
@@ -147,26 +148,29 @@ class Alternating(TimeStepping):
         Raises:
             IrregularMotionError: Events accumulate, or many contacts are active and steps shorter than `dt`.
         """
-        steps = self.record.dense_steps
-        if len(steps) - self.state.events_since < LOOKED_AT:
-            return
-        if steps[-1].end - steps[-LOOKED_AT].start >= LOOKED_AT * self._longest:  # regular steps
+        steps, taken = self.record.dense_steps, len(self.record.dense_steps) - self.state.events_since
+        seen = min(taken, LOOKED_AT)
+        if taken < EARLY or steps[-1].end - steps[-seen].start >= seen * self._longest:  # regular steps
             return
         active = self.work.active_contacts
         part = min(active**2 * self.model.nv / COSTLY, 1.0)
-        count, part, least = (LOOKED_AT, part, SOME) if part > BRIEF else (ACCUMULATING, BRIEF, RARE)
-        if len(steps) - self.state.events_since < count:
-            return
-        covered = steps[-1].end - steps[-count].start
-        if covered >= part * count * self._longest:
-            return
-        # the lowest point of a nearly flat rim runs around it, which nothing damps
-        events = count if self.rims and self.rims.active() else ended(self.instant, count)
-        brief = part > BRIEF or covered < part * min(count, events / BY_EVENTS) * self._longest
-        if brief and events >= least * count:
-            raise IrregularMotionError(
-                f"scene: {count} steps cover {covered:.3g} s, with active contacts: {active}"
-            )
+        costly = part > BRIEF
+        rules = (
+            ((EARLY, BRIEF * part, SOME), (LOOKED_AT, part, SOME))
+            if costly
+            else ((ACCUMULATING, BRIEF, RARE),)
+        )
+        for count, share, least in rules:
+            if taken < count:
+                continue
+            covered = steps[-1].end - steps[-count].start
+            # the lowest point of a nearly flat rim runs around it, which nothing damps
+            events = count if self.rims and self.rims.active() else ended(self.instant, count)
+            most = share * (count if costly else min(count, events / BY_EVENTS)) * self._longest
+            if covered < most and events >= least * count:
+                raise IrregularMotionError(
+                    f"scene: {count} steps cover {covered:.3g} s, with active contacts: {active}"
+                )
 
     def _cross(self, error: IrregularMotionError) -> None:
         """Return to the last consistent state, and change to time steps because of an error."""
