@@ -257,6 +257,50 @@ def test_can_stands_on_a_turning_lift(scheme):
     assert tilt(q[2:]) <= 1e-8
 
 
+def random_motion(seed):
+    """Return scene, configuration and velocity of a cylinder, cone or ring near a plane, often flat on it."""
+    rng = np.random.default_rng(seed)
+    kind = rng.choice(["cylinder", "cone", "ring"])
+    mass, rho = 10 ** rng.uniform(-1, 1), 0.1 * 10 ** rng.uniform(-0.5, 0.3)
+    length = float(rho * rng.choice([0.05, 2.0, 8.0]))
+    slope, azimuth = float(rng.choice([0.0, rng.uniform(0.0, 0.4)])), rng.uniform(0.0, 2.0 * np.pi)
+    towards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    normal = np.sin(slope) * towards + [0.0, 0.0, np.cos(slope)]
+    given = {
+        "plane": Plane(normal=tuple(normal), name="floor"),
+        "friction": float(rng.choice([0.0, rng.uniform(0.0, 1.2)])),
+        "restitution": float(rng.choice([0.0, rng.uniform(0.0, 0.9)])),
+        "law": str(rng.choice(["poisson", "newton", "energetic"])),
+    }
+    if kind == "ring":
+        robot = free_body(pin.Inertia(mass, np.zeros(3), np.diag([0.5, 0.5, 1.0]) * mass * rho**2))
+        contact, foot = Contact("center", rim=rho, **given), 0.0
+    else:
+        shape = coal.Cylinder(rho, length) if kind == "cylinder" else coal.Cone(rho, length)
+        foot = 0.5 * length
+        inertia = pin.Inertia.FromCylinder(mass, rho, length)
+        if kind == "cone":
+            inertia = inertia.se3Action(pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * foot])))
+        robot, contact = shaped_body(shape, inertia), Contact(geometry="thing_0", **given)
+    tilted = float(rng.choice([0.0, 10 ** rng.uniform(-9, -1), rng.uniform(0.0, 1.5)]))
+    height = rho * np.sin(tilted) + foot * np.cos(tilted) + rng.choice([0.0, rng.uniform(0.0, 0.2)])
+    axis = np.array([np.cos(2.0 * azimuth), np.sin(2.0 * azimuth), 0.0])
+    rotation = pin.exp3(slope * np.cross([0.0, 0.0, 1.0], towards)) @ pin.exp3(tilted * axis)
+    v = np.array([*rng.normal(size=2), 0.0, 0.0, 0.0, 3.0 * rng.normal()]) * rng.choice([0.0, 1.0])
+    v[:3] = pin.exp3(tilted * axis).T @ v[:3]
+    return Scene(robot, contacts=contact), np.append(height * normal, pin.Quaternion(rotation).coeffs()), v
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+@pytest.mark.parametrize("seed", range(24))
+def test_random_motions_complete_and_obey_laws(seed):
+    scene, q0, v0 = random_motion(seed)
+    trajectory = run(scene, q0, v0, 0.5, 1e-4)
+    every, data = [one for one in scene.contacts if one.of_rim is None], scene.model.createData()
+    for q in trajectory.q[:: max(1, len(trajectory.q) // 100)]:
+        assert min(one.gap(scene.model, data, q) for one in every) >= -1e-7
+
+
 @pytest.mark.parametrize("law", ["poisson", "newton", "energetic"])
 def test_impact_of_a_flat_can_is_that_of_its_points(law):
     scene = can(friction=0.3, restitution=0.5, law=law)

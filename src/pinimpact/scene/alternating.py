@@ -48,9 +48,9 @@ joints may take many steps to settle."""
 
 EARLY, LOOKED_AT, COSTLY, SOME = 10, 50, 5.4e4, 0.1
 """Time steps take over if `LOOKED_AT` steps are on average shorter than `dt` times n² nv / `COSTLY`, or than
-`dt`, and `SOME` of them end at events; `EARLY` ones if they are shorter by `BRIEF`. An event-driven step takes
-a time in proportion to n² nv, with n active contacts and nv velocities; with 30 contacts of 10 free bodies it
-takes that of a time step."""
+`dt`, and `SOME` of them end at events; `EARLY` ones if they are shorter by `BRIEF`. An event-driven step
+takes a time in proportion to n² nv, with n active contacts and nv velocities; with 30 contacts of 10 free
+bodies it takes that of a time step."""
 
 
 class Alternating(TimeStepping):

@@ -158,7 +158,7 @@ class Instant:
             q, v = self.state.q, self.state.v
             parting = max(self.dynamics.error(v), work.resting_speed)
             i, rate = self.dynamics.fastest_approach(q, v, starting, parting, where, slow)
-            if self.rims and self.rims.lie_down(where, starting):
+            if self.rims and self.rims.lie_down(where):
                 continue
             if self.impacts.refuses and not resolved:
                 touching = np.flatnonzero(where[: work.contacts] != APART)

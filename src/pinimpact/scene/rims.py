@@ -109,15 +109,13 @@ class Rims:
 
     # ---- event-driven steps
 
-    def lie_down(self, where: Integers, starting: bool) -> bool:
+    def lie_down(self, where: Integers) -> bool:
         """Replace the touching rims that lie flat by their points, and return whether there are any.
 
-        Args:
-            where: (n + nl,) state of the contacts and limits, see `approach`; updated.
-            starting: Whether the motion starts now.
+        `where` (n + nl,) is the state of the contacts and limits, see `approach`; it is updated.
         """
-        touching = [k for k in self._rims.tolist() if where[k] != APART or not self._points[k]]
-        flat = [k for k in touching if k in self._flat(self._state.q, self._state.v)]
+        parallel = self._flat(self._state.q, self._state.v)
+        flat = [k for k in parallel if where[k] != APART or not self._points[k]]
         self._change(self._state.flat.union(flat))
         for k in flat:
             where[self._points[k]] = ARRIVING
@@ -157,7 +155,7 @@ class Rims:
         if not turned.any():
             return 1.0
         short = size - 0.25 * work.drift_tolerance / self._radii[active]
-        part = float((short * size)[turned].min() / (size * size - along)[turned].max())
+        part = float((short * size / (size * size - along))[turned].min())
         return part if part < 0.9 else 0.5
 
     def tilting(self, step: DenseStep, end: float) -> Tilting | None:

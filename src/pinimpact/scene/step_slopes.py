@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from .._numeric.tolerances import COMPUTED, ROUNDING, STALLED, TINY
-from ..arrays import Array, Bools, Integers
+from ..arrays import Array, Integers
 from ..contact_space.derivatives import Boundary
 from ..robot._kernels.row_slopes import row_slopes
 from ..robot.derivatives import check_joints
@@ -420,7 +420,7 @@ class StepSlopes:
             turned = (turns @ every).reshape(-1, 2 * nv + 1)
             start[: len(turned)] -= turned
             end[: len(turned)] += turned
-            closed = 3 * np.flatnonzero(~_open(taken, bends.bends[:, 2])) + 2
+            closed = 3 * np.flatnonzero(~taken.open_at_start(bends.bends[:, 2])) + 2
             gaps[closed] -= 0.25 * h * every[closed // 3, 2]
             gaps[closed, -1] -= 0.125 * h * bends.bends[closed // 3, 2]
         self._known = taken, _Rows(jacobian, slopes, places, start, end, gaps)
@@ -489,14 +489,6 @@ class StepSlopes:
 def _outer(vector: Array, changes: Array) -> Any:
     """Return vector (k,) times changes (n,), (k, n); 0 if nothing changes, as most step sizes."""
     return np.outer(vector, changes) if changes.any() else 0.0
-
-
-def _open(taken: StepTaken, bends: Array) -> Bools:
-    """Return which contacts and held ones are open at the start of a step, given (J̇ v)_n (k,). (16.2)"""
-    contacts, h = taken.rows.contacts, taken.h
-    rates = taken.found.u_start[2 : 3 * len(bends) : 3] + 0.5 * h * bends
-    opened = (bends > 0.0) & (taken.rows.gap[: len(bends)] >= 0.5 * h * rates)
-    return np.asarray(opened & (np.arange(len(bends)) < len(contacts)))
 
 
 def _taken(step: DenseStep) -> StepTaken:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from ..arrays import Array, Bools
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
@@ -82,3 +84,9 @@ class StepTaken:
     arriving: tuple[int, ...] = ()
     struck: Mapping[int, Corner] = field(default_factory=dict)
     removals: list[Removal] = field(default_factory=list)
+
+    def open_at_start(self, bends: Array) -> Bools:
+        """Return which contacts and held ones are open at the start, given (J̇ v)_n (k,). (16.2)"""
+        rates = self.found.u_start[2 : 3 * len(bends) : 3] + 0.5 * self.h * bends
+        opened = (bends > 0.0) & (self.rows.gap[: len(bends)] >= 0.5 * self.h * rates)
+        return np.asarray(opened & (np.arange(len(bends)) < len(self.rows.contacts)))

@@ -39,10 +39,9 @@ BULGE = SAFETY / 8.0
 FADING = 1.0 / 16.0
 """Least ratio of the fall in a half to that in the whole interval: a quarter of the curvature is assumed."""
 
-SMOOTH, LEFT = 4, 0.5
-"""The samples of a function are noise if after `SMOOTH` halvings its second difference is still more than
-`LEFT` of that in the whole step: those of smooth functions decrease to 1/256, beside a kink to 1/16, beside a
-root to 1/4. No interval is halved then."""
+MOST = 200
+"""Largest number of halvings in a search. The functions of regular motions need less than a hundred; noise
+would halve all intervals `DEPTH` times."""
 
 
 def sampled(value):
@@ -168,7 +167,7 @@ def search_for_fall(value):
         for k in range(PARTS + 1):
             values[k] = value_at(work, i, end if k == PARTS else start + k * width)[0]
         largest = second = 0.0
-        noisy = False
+        halvings = 0
         for k in range(PARTS + 1):
             largest = max(largest, values[k])
         lowest = -max(LOWEST * largest, 2.0 * floor)
@@ -187,15 +186,15 @@ def search_for_fall(value):
                 part = later[depth] - time
                 middle = time + 0.5 * part
                 splits = part > SHORTEST * width and time < middle < later[depth]  # so depth < DEPTH
-                noisy = noisy or (depth >= SMOOTH and bulge > LEFT * BULGE * second)
+                splits = splits and halvings < MOST
                 if value_then < -floor:
                     if value_now > 0.0:
                         return root(work, i, time, later[depth], value_now, value_then)
                     if not splits:
                         return time
                 rises_clear = value_now == 0.0 and value_then > 4.0 * bulge
-                if splits and not (noisy or min(value_now, value_then) - bulge >= -floor or rises_clear):
-                    depth += 1
+                if splits and not (min(value_now, value_then) - bulge >= -floor or rises_clear):
+                    depth, halvings = depth + 1, halvings + 1
                     later[depth] = middle
                     later_value[depth] = max(value_at(work, i, middle)[0], lowest)
                     # the curvature here may be smaller than elsewhere in the step
