@@ -135,10 +135,15 @@ _MAKERS: dict[str, Callable[[Any], ShapeTips]] = {
 }
 
 
+def unit_circle(count: int) -> Array:
+    """Return (count, 3) points of the unit circle about z, evenly spaced from x."""
+    angles = 2.0 * np.pi * np.arange(count) / count
+    return np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
+
+
 def _with_points(tips: ShapeTips, count: int) -> ShapeTips:
     """Return tips with a number of points instead of each rim."""
-    angles = 2.0 * np.pi * np.arange(count) / count
-    circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
+    circle = unit_circle(count)
     centres, parts = [], []
     for centre, rim, part in zip(tips.centres, tips.rims, tips.parts, strict=True):
         centres += [*(centre + rim * circle)] if rim > 0.0 else [centre]

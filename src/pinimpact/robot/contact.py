@@ -17,7 +17,14 @@ from ..contact_space.laws import law_code
 from ..display import short_repr
 from ..errors import InputError
 from ..geometry._kernels import constants as layout
-from ..geometry.collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
+from ..geometry.collision_shapes import (
+    check_rim_points,
+    collision_model,
+    find_shape,
+    shape_frame,
+    shape_tips,
+    unit_circle,
+)
 from ..geometry.convex_pair import gap
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
@@ -224,10 +231,8 @@ def points_of_rim(contact: Contact) -> list[Contact]:
     u = np.array(contact.axis)
     first = np.cross(u, np.eye(3)[np.abs(u).argmin()])
     first = np.cross(first / np.linalg.norm(first), u)
-    angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    places = np.array(contact.offset) + contact.rim * (
-        np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(u, first))
-    )
+    x, y, _ = unit_circle(RIM_POINTS).T
+    places = contact.offset + contact.rim * (np.outer(x, first) + np.outer(y, np.cross(u, first)))
     label = contact.label
     point = replace(contact, rim=0.0, axis=(0.0, 0.0, 1.0), of_rim=label)
     return [

@@ -65,18 +65,15 @@ class Rims:
 
     def place(self) -> None:
         """Set the contacts in the workspace by the rims that lie flat."""
-        for rim, points in self._points.items():
-            flat = rim in self._state.flat
-            for i in points:
-                self._set(i, flat)
-            if points:
-                self._set(rim, not flat)
-
-    def _set(self, i: int, present: bool) -> None:
-        work = self._work
-        work.contact_constants[i], work.contact_joints[i] = self._constants[i], self._joints[i] * present
-        if not present:
-            work.contact_constants[i, KIND], work.modes[i] = ABSENT, FREE
+        work, replaced = self._work, {rim: points for rim, points in self._points.items() if points}
+        every = [i for rim, points in replaced.items() for i in (rim, *points)]
+        absent = [i for k, points in replaced.items() for i in ([k] if k in self._state.flat else points)]
+        work.contact_constants[every], work.contact_joints[every] = (
+            self._constants[every],
+            self._joints[every],
+        )
+        work.contact_constants[absent, KIND], work.contact_joints[absent] = ABSENT, 0
+        work.modes[absent] = FREE
 
     def _change(self, flat: Iterable[int]) -> None:
         """Set which rims lie flat.
@@ -160,17 +157,20 @@ class Rims:
 
     def tilting(self, step: DenseStep, end: float) -> Tilting | None:
         """Return where the first flat rim tilts by more than the tolerance in a step up to a time [s]."""
-        found: Tilting | None = None
-        for k in sorted(self._state.flat):
-            row = int(np.searchsorted(self._rims, k))
-            limit = self._work.drift_tolerance / (SAGITTA * self._radii[row])
+        flat = np.isin(self._rims, list(self._state.flat))
+        limits, found = self._work.drift_tolerance / (SAGITTA * self._radii), None
 
-            def left(t: float, row: int = row, limit: float = limit) -> float:
-                return limit - float(np.linalg.norm(self._tilts(*step.at(t))[row]))
+        def left(t: float) -> Array:
+            return np.asarray(limits - np.linalg.norm(self._tilts(*step.at(t)), axis=1))
 
-            if left(end) <= 0.0:
-                end = crossing(left, step.start, end, step.h)
-                found = Tilting(end, k)
+        for row in np.flatnonzero(flat & (left(end) <= 0.0)).tolist():
+
+            def of_rim(t: float, row: int = row) -> float:
+                return float(left(t)[row])
+
+            time = crossing(of_rim, step.start, end, step.h)
+            if found is None or time < found.time:
+                found = Tilting(time, int(self._rims[row]))
         return found
 
     def stand_up(self, rim: int) -> list[int] | None:

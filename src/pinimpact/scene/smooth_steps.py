@@ -46,7 +46,6 @@ class SmoothSteps:
         self._charts = self._dynamics.work.joint_charts
         self._state: HybridState = instant.state
         self._longest, self._jumps = longest, jumps
-        self._shorter = 0.5  # part of a step that has to be repeated
 
     def replace_force(self, tau: Array, left: float) -> tuple[bool, Outcome | None]:
         """Replace the constant generalized force, and compute the next step where it is of low order.
@@ -121,7 +120,8 @@ class SmoothSteps:
                 return self._outcome(found, trial, natural, memory)
             else:
                 state.rejected += 1
-                h, self._shorter = self._shorter * trial, 0.5
+                part = self._rims.turn() if self._rims else 1.0
+                h = trial * (part if part < 1.0 else 0.5)
 
     def _low_order(self) -> int:
         """Return the number of the method to try for a step that ends at a given time."""
@@ -164,10 +164,6 @@ class SmoothSteps:
         error, time = method.attempt(work, t, h, work.rtol, work.atol), -math.inf
         if directions is not None:
             directions[1] = work.end_directions
-        if not error > largest:
-            part = self._rims.turn() if self._rims else 1.0
-            if part < 1.0:
-                self._shorter = part
-            else:
-                time = smooth_motion.finish(work, t, h, error)
+        if not error > largest and not (self._rims and self._rims.turn() < 1.0):
+            time = smooth_motion.finish(work, t, h, error)
         return error, time, directions

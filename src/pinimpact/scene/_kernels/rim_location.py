@@ -27,6 +27,15 @@ DEPTH = 80
 """Largest number of halvings of a step."""
 
 
+@inlined
+def fill_terms(work, constants, joints, out):
+    """Fill out (8,), see `contact_motion.rim_and_rates`, of a rim at the state last evaluated."""
+    placements, velocities, tip, carrier = work.placements, work.local_velocities, joints[0], joints[1]
+    contact_motion.rim_and_rates(
+        placements[tip], velocities[tip], placements[carrier], velocities[carrier], constants, out
+    )
+
+
 @declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS)
 @jit
 def rims_at(work, q, v, constants, joints, out):
@@ -37,12 +46,7 @@ def rims_at(work, q, v, constants, joints, out):
     set_state(work, q, v)
     compute_kinematics(work)
     for i in range(len(out)):
-        tip, carrier = joints[i, 0], joints[i, 1]
-        contact_motion.rim_and_rates(
-            *(work.placements[tip], work.local_velocities[tip]),
-            *(work.placements[carrier], work.local_velocities[carrier]),
-            *(constants[i], out[i]),
-        )
+        fill_terms(work, constants[i], joints[i], out[i])
 
 
 @inlined
@@ -50,12 +54,7 @@ def rim_at(work, i, t, base, out):
     """Fill out (8,), see `gap_bounds.rim_clear`, of rim i at a time within the step, with y − base for y."""
     set_state_within(work, (t - work.step_start) / work.step_length)
     compute_kinematics(work)
-    placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
-    tip, carrier = joints[i, 0], joints[i, 1]
-    contact_motion.rim_and_rates(
-        *(placements[tip], velocities[tip], placements[carrier], velocities[carrier]),
-        *(work.contact_constants[i], out),
-    )
+    fill_terms(work, work.contact_constants[i], work.contact_joints[i], out)
     out[0] -= base
 
 
