@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from .._compile.borrowing import borrowed
 from .._compile.declared import FLOAT_STACK, FLOATS, declared
 from .._compile.jit import external, inlined
 from .augmented_newton import (
@@ -47,7 +48,7 @@ def fill_compliances(problem, part, diagonal, given):
     The largest r of a contact is `part` times the largest diagonal entry of W of contacts; without contacts r
     is in proportion to the diagonal. The diagonal of rows that no impulse moves is replaced by the largest.
     """
-    _, inverse, _, values, columns, counts, _, _, compliance = problem
+    _, inverse, _, values, columns, counts, _, _, compliance = borrowed(problem)
     nc, n, softest, largest = len(compliance), len(given), 0.0, 0.0
     for a in range(n):
         diagonal[a] = 0.0
@@ -116,6 +117,8 @@ def iterate(problem, profile, r, accuracy, size, begin, x, course, now):
         course: See `solve_velocities`.
         now: The `Iterate`, whose w is the initial guess.
     """
+    problem, now, profile = borrowed(problem), borrowed(now), borrowed(profile)
+    r, begin, x, course = borrowed(r), borrowed(begin), borrowed(x), borrowed(course)
     n, m, w, f, least = len(x), len(begin), now.w, now.f, 0.1 * accuracy
     system, factored, taken, slow = np.empty((m, m)), False, 0, 0
     best, best_w = np.zeros(n), np.zeros(m)

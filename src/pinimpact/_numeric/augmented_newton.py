@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._compile.borrowing import borrowed
 from .._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
@@ -122,7 +123,8 @@ def length(x, y):
 @external
 def impulses(law, u, before, r, out):
     """Fill out (n,) with f⁺ = P(f − u/r) of (16.3), f = `before` (n,)."""
-    mu, slip, least, most, held, lower, upper = law
+    mu, slip, least, most, held, lower, upper = borrowed(law)
+    u, before, r, out = borrowed(u), borrowed(before), borrowed(r), borrowed(out)
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
@@ -188,8 +190,9 @@ def fill_system(problem, profile, r, u, before, coupled, system):
         coupled: Whether ∂ρ/∂z_n is included; without it the matrix is symmetric and positive definite.
         system: (m, m) is overwritten.
     """
-    mass, _, start, values, columns, counts, _, law, _ = problem
-    first, last = profile
+    mass, _, start, values, columns, counts, _, law, _ = borrowed(problem)
+    (first, last), system = borrowed(profile), borrowed(system)
+    r, u, before = borrowed(r), borrowed(u), borrowed(before)
     m, nc, lower, upper = len(mass), len(law.friction), law.lower, law.upper
     d = np.empty((3, 3))
     for a in range(m):
@@ -225,8 +228,9 @@ def evaluate(problem, r, before, now):
 
     Momenta are scaled by 1/√M_aa. Other arguments are those of `fill_system`.
     """
-    mass, _, start, values, columns, counts, free, law, _ = problem
-    w, u, f, momentum, out, scale = now
+    mass, _, start, values, columns, counts, free, law, _ = borrowed(problem)
+    w, u, f, momentum, out, scale = borrowed(now)
+    r, before = borrowed(r), borrowed(before)
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     add(u, 1.0, free)
@@ -253,7 +257,8 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
     Without ∂ρ/∂z_n this is the minimum of a convex function along d. `now` is the `Iterate` at t = 0, whose f
     is overwritten; du (n,) is J d, slope dᵀM w, curvature dᵀM d; other arguments as in `fill_system`.
     """
-    law, u, f = problem.law, now.u, now.f
+    law, u, f = borrowed(problem.law), borrowed(now.u), borrowed(now.f)
+    r, before, du = borrowed(r), borrowed(before), borrowed(du)
     trial = np.empty(len(u))
     start = slope - dot(du, f)
     if not start < 0.0:

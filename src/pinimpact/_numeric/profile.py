@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .._compile.borrowing import borrowed
 from .._compile.jit import external, inlined
 
 
@@ -22,6 +23,7 @@ def eliminate_profile(system, last, x):
 
     Row and column a are zero after last[a]. There is no pivoting, so the matrix should be nearly definite.
     """
+    system, last, x = borrowed(system), borrowed(last), borrowed(x)
     m = len(x)
     for k in range(m):
         pivot = system[k]
@@ -41,6 +43,7 @@ def eliminate_profile(system, last, x):
 @external
 def substitute_profile(factors, last, x):
     """Replace x (m,) by the solution of a system with the factors of `eliminate_profile`."""
+    factors, last, x = borrowed(factors), borrowed(last), borrowed(x)
     m = len(x)
     for k in range(m):
         for a in range(k + 1, last[k] + 1):

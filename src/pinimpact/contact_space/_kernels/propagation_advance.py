@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
-from ..._compile.jit import external, inlined
+from ..._compile.jit import always_inlined, external, inlined
 from ..._numeric.loops import filled, power
 from ..._numeric.products import add
 from .codes import (
@@ -42,7 +42,7 @@ def time_power(k, h, pace, root):
     return pace * power(h, k + 1) / (k + 1.0)
 
 
-@inlined
+@always_inlined
 def _product(series, i, k):
     """Return the coefficient k of the power of force component i (3n,)."""
     total = 0.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, FloatRows, Integers, declared
-from ..._compile.jit import external, inlined
+from ..._compile.jit import always_inlined, external, inlined
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import filled
 from ..._numeric.products import dot
@@ -154,6 +154,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
         Whether the variable is √s/pace.
     """
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
+    unknown, inverse = borrowed(unknown), borrowed(inverse)
     friction = system.friction
     n = len(friction)
     v, indentation, force, unit = series.v, series.indentation, series.force, series.unit
@@ -183,7 +184,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
     return root
 
 
-@inlined
+@always_inlined
 def forces_of_order(system, state, series, k, root, closed):
     """Compute the coefficients k of slip directions and of forces, without constraint forces.
 
@@ -223,7 +224,7 @@ def forces_of_order(system, state, series, k, root, closed):
                 force[k, p + 1] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j + 1]
 
 
-@inlined
+@always_inlined
 def what_changes(system, state, rates):
     """Fill the rates ρ (n,) of (14.2), 0 for held contacts; return the closed and the `TIED` contacts."""
     n = len(rates)
@@ -240,7 +241,7 @@ def what_changes(system, state, rates):
     return closed[:pressed].copy(), ties[:count].copy()
 
 
-@inlined
+@always_inlined
 def hold(system, state, unit, unknown, inverse, fixed, force):
     """Add the constraint forces that cancel the accelerations of held and sticking contacts.
 
@@ -323,7 +324,7 @@ def natural_pace(state, series):
     return pace
 
 
-@inlined
+@always_inlined
 def integrate(system, rates, series, k, pace, root):
     """Compute the coefficients k + 1 of velocities and indentations from coefficients k of forces. (14.1)"""
     w = system.w
@@ -352,7 +353,7 @@ def integrate(system, rates, series, k, pace, root):
         indentation[k + 1, j] = -rates[j] * fall * factor
 
 
-@inlined
+@always_inlined
 def _direction(series, k, j):
     """Compute the coefficients k of |v_t| and v_t/|v_t|."""
     v, speed, unit = series.v, series.speed, series.unit
