@@ -26,7 +26,7 @@ import numpy as np
 from .._compile.borrowing import borrowed
 from .._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
-from .._compile.jit import external, inlined
+from .._compile.jit import always_inlined, external, inlined
 from .loops import filled, flags
 from .products import add, dot
 from .profile import apply_within, eliminate_profile, substitute_profile
@@ -145,7 +145,7 @@ def impulses(law, u, before, r, out):
         out[3 * nc + i] = min(max(out[3 * nc + i], lower[i]), upper[i])
 
 
-@inlined
+@always_inlined
 def fill_derivative(law, i, z1, z2, z3, coupled, d):
     """Fill d (3, 3) with ∂P/∂z of contact i at z = (z1, z2, z3); return True instead if it is zero. (16.4)
 
