@@ -41,9 +41,11 @@ def from_rest(run: Run) -> Run:
     def run_nudged(inputs: ManyInputs, record: bool, **options: Any) -> ManySolution:
         velocity, friction = inputs.velocity, inputs.friction
         rest = SLOW * float(np.abs(velocity).max(initial=0.0))
-        at = np.flatnonzero(np.abs(velocity[:, 2]) <= rest)
+        if velocity[:, 2].min() < -rest:
+            return run(inputs, record, **options)
+        at = np.flatnonzero(velocity[:, 2] <= rest)
         slips = (np.hypot(velocity[at, 0], velocity[at, 1]) > rest) & (friction[at] > 0.0)
-        if velocity[:, 2].min() >= -rest and slips.any():
+        if slips.any():
             one = inputs.part(at)
             growing = growing_indentations(one.delassus, one.velocity, one.friction, slips, one.stiffness)
             if growing is not None:
