@@ -117,8 +117,6 @@ def iterate(problem, profile, r, accuracy, size, begin, x, course, now):
         course: See `solve_velocities`.
         now: The `Iterate`, whose w is the initial guess.
     """
-    problem, now, profile = borrowed(problem), borrowed(now), borrowed(profile)
-    r, begin, x, course = borrowed(r), borrowed(begin), borrowed(x), borrowed(course)
     n, m, w, f, least = len(x), len(begin), now.w, now.f, 0.1 * accuracy
     system, factored, taken, slow = np.empty((m, m)), False, 0, 0
     best, best_w = np.zeros(n), np.zeros(m)

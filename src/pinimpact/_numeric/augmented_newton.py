@@ -257,8 +257,7 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
     Without ∂ρ/∂z_n this is the minimum of a convex function along d. `now` is the `Iterate` at t = 0, whose f
     is overwritten; du (n,) is J d, slope dᵀM w, curvature dᵀM d; other arguments as in `fill_system`.
     """
-    law, u, f = borrowed(problem.law), borrowed(now.u), borrowed(now.f)
-    r, before, du = borrowed(r), borrowed(before), borrowed(du)
+    law, u, f = problem.law, now.u, now.f
     trial = np.empty(len(u))
     start = slope - dot(du, f)
     if not start < 0.0:

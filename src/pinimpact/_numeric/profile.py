@@ -43,7 +43,6 @@ def eliminate_profile(system, last, x):
 @external
 def substitute_profile(factors, last, x):
     """Replace x (m,) by the solution of a system with the factors of `eliminate_profile`."""
-    factors, last, x = borrowed(factors), borrowed(last), borrowed(x)
     m = len(x)
     for k in range(m):
         for a in range(k + 1, last[k] + 1):
