@@ -340,3 +340,34 @@ def solve_compliances(problem, profile, r, before, least, now, system, factored)
                 break
         add(w, share, d)
     return factored, error <= RESOLVED * least
+
+
+@external
+def continue_to(problem, profile, r, part, now, system):
+    """Replace the solution of (16.3) from f = 0 by that for compliances `part` r with the same ∂P. (11.15)
+
+    r (n,) is overwritten, and w of the `Iterate`. system (m, m) is overwritten with the factors of the matrix
+    of Newton's method; return whether it has them. Other arguments as in `fill_system`.
+    """
+    law, u, w = problem.law, now.u, now.w
+    nc, none, change, d = len(law.friction), np.zeros(len(r)), np.zeros(len(r)), np.empty((3, 3))
+    step, growth = np.zeros(len(w)), 1.0 - 1.0 / part
+    for a in range(len(r)):
+        r[a] *= part
+        u[a] *= part  # u/r, and ∂P with it, stay as they are
+    for i in range(nc):
+        j = 3 * i
+        z1, z2, z3 = -u[j] / r[j], -u[j + 1] / r[j + 1], -u[j + 2] / r[j + 2]
+        if not fill_derivative(law, i, z1, z2, z3, True, d):
+            for a in range(3):
+                change[j + a] = -growth * (d[a, 0] * z1 + d[a, 1] * z2 + d[a, 2] * z3)
+    for i in range(len(law.lower)):
+        j = 3 * nc + i
+        if law.lower[i] < -u[j] / r[j] < law.upper[i]:
+            change[j] = growth * u[j] / r[j]
+    add_transposed(problem.values, problem.columns, problem.counts, change, step)
+    fill_system(problem, profile, r, u, none, True, system)
+    factored = eliminate_profile(system, profile[1], step)
+    if factored:
+        add(w, 1.0, step)
+    return factored

@@ -24,7 +24,14 @@ from .._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from .._compile.interrupts import answer_signals
 from .._compile.jit import external, inlined
 from .augmented_lagrangian import FINER, ITERATIONS, QUICK, fill_compliances, iterate_of
-from .augmented_newton import Law, VelocityProblem, add_transposed, find_profile, solve_compliances
+from .augmented_newton import (
+    Law,
+    VelocityProblem,
+    add_transposed,
+    continue_to,
+    find_profile,
+    solve_compliances,
+)
 from .elimination import solve
 from .least_norm import least_norm
 from .loops import assign, filled, largest_diagonal, ones, repeated
@@ -104,19 +111,21 @@ def solve_compliant(problem, x, compliance, rank):
     The solutions of (16.3) from f = 0 for r = 2ε C and r = ε C are extrapolated to ε = 0, where Newton's
     method converges to the nearest solution. C is diagonal, up to a factor `compliance` (nc,) for the rows
     of contacts and 1 for scalar rows. With friction there may be several such solutions; this one continues
-    that of a larger r, which does not depend on where Newton's method starts. It starts from the velocities
-    of the given x, which should have the symmetry of the problem; `rank` is that of `polish`.
+    that of a larger r by (11.15), which does not depend on where Newton's method starts. It starts from the
+    velocities of the given x, which should have the symmetry of the problem; `rank` is that of `polish`.
     """
     velocities, profile, now, matrix = in_velocities(problem, compliance)
     size = len(x)
     add_transposed(velocities.values, velocities.columns, velocities.counts, x, now.w)
-    none, r, solved = np.zeros(size), np.empty(size), True
-    for part in (LARGE, 2.0 * SMALL, SMALL):
-        fill_compliances(velocities, part, np.empty(size), r)
-        _, found = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, False)
+    none, r = np.zeros(size), np.empty(size)
+    fill_compliances(velocities, LARGE, np.empty(size), r)
+    _, solved = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, False)
+    for part in (2.0 * SMALL / LARGE, 0.5):
+        factored = continue_to(velocities, profile, r, part, now, matrix)
+        _, found = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, factored)
         solved = solved and found
         for a in range(size):
-            x[a] = 2.0 * now.f[a] - x[a] if part == SMALL else now.f[a]
+            x[a] = 2.0 * now.f[a] - x[a] if part == 0.5 else now.f[a]
     best = polish(problem, x, rank) if solved else math.inf
     return best if best <= UNDETERMINED else solve_coulomb(problem, x)
 
