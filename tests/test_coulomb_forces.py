@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from pinimpact._numeric.augmented_newton import coulomb_law
-from pinimpact._numeric.coulomb_problem import CoulombProblem, solve_coulomb
+from pinimpact._numeric.augmented_lagrangian import fill_compliances
+from pinimpact._numeric.augmented_newton import continue_to, coulomb_law, evaluate
+from pinimpact._numeric.coulomb_problem import CoulombProblem, in_velocities, solve_coulomb
 from pinimpact.scene._kernels import contact_forces
 from pinimpact.scene._kernels.acting_forces import find_forces, jammed_contact
 
@@ -585,3 +586,50 @@ def test_useless_initial_guess_does_not_change_the_solution(start):
     assert solve(delassus, free, velocity, mu, held, nothing, nothing, expected) <= 1e-10
     assert np.abs(expected).max() > 0.0
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@numba.njit
+def velocities_for(delassus, free, slip, mu, lower, upper, w, part):
+    """Return compliances r, J in velocities, and the w that `continue_to` finds for `part` r."""
+    none = np.zeros(len(mu), dtype=np.bool_)
+    problem = CoulombProblem(delassus, free, coulomb_law(mu, slip, none, lower, upper))
+    velocities, profile, now, system = in_velocities(problem, np.ones(len(mu)))
+    r = np.empty(len(free))
+    fill_compliances(velocities, 0.1, np.empty(len(free)), r)
+    before = r.copy()
+    now.w[:] = w
+    evaluate(velocities, r, np.zeros(len(free)), now)
+    continue_to(velocities, profile, r, part, now, system)
+    return before, velocities.values, now.w
+
+
+def test_solutions_for_two_compliances_with_one_active_set_follow_from_each_other():
+    """Two contacts stick, one slips in a given direction, one is open; of two rows one is at its bound."""
+    rng = np.random.default_rng(4)
+    slip, mu = np.zeros((4, 2)), np.array([1e3, 1e3, 0.2, 0.5])
+    slip[2] = 0.6, 0.8
+    jacobian = rng.normal(size=(14, 9))
+    delassus, free = jacobian @ jacobian.T, 0.1 * rng.normal(size=14)
+    free[[2, 5, 8]], free[11] = -30.0, 300.0
+    free[12:] = 1.0, 100.0
+    lower, upper = np.array([-1e3, -0.1]), np.array([1e3, 0.1])
+    r, rows, _ = velocities_for(delassus, free, slip, mu, lower, upper, np.zeros(9), 0.5)
+
+    def solution(r):
+        """Return w of w = Jᵀ f with f = c − A (u_free + J w)/r in the active set."""
+        slopes, constant = np.zeros((14, 14)), np.zeros(14)
+        for k in (*range(6), 12):
+            slopes[k, k] = 1.0
+        slopes[6:9, 8] = -0.2 * 0.6, -0.2 * 0.8, 1.0
+        constant[13] = -0.1
+        stiff = rows.T @ (slopes / r)
+        w = np.linalg.solve(np.eye(9) + stiff @ rows, rows.T @ constant - stiff @ free)
+        z = -(free + rows @ w) / r
+        assert z[[2, 5, 8]].min() > 0.0 > z[11]
+        assert -1e3 < z[12] < 1e3
+        assert z[13] < -0.1
+        return w
+
+    found = velocities_for(delassus, free, slip, mu, lower, upper, solution(r), 1e-3)[2]
+    assert found == pytest.approx(solution(1e-3 * r), rel=1e-9, abs=1e-9)
+    assert np.abs(found - solution(r)).max() > 0.1
