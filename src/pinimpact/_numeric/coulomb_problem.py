@@ -43,6 +43,10 @@ from .tolerances import USABLE as USABLE  # re-exported
 LARGEST = 10.0
 """Largest r tried, relative to the largest diagonal entry of W."""
 
+COURSE = 1e-2, 1e-4, 2.0 * SMALL, SMALL
+"""Compliances to which a solution is continued in turn, relative to the same. From the last two it is
+extrapolated to zero."""
+
 POLISH = 8
 """Largest number of steps of Newton's method per trial."""
 
@@ -120,12 +124,14 @@ def solve_compliant(problem, x, compliance, rank):
     none, r = np.zeros(size), np.empty(size)
     fill_compliances(velocities, LARGE, np.empty(size), r)
     _, solved = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, False)
-    for part in (2.0 * SMALL / LARGE, 0.5):
-        factored = continue_to(velocities, profile, r, part, now, matrix)
+    before = LARGE
+    for part in COURSE:
+        factored = continue_to(velocities, profile, r, part / before, now, matrix)
         _, found = solve_compliances(velocities, profile, r, none, ROUNDING, now, matrix, factored)
         solved = solved and found
         for a in range(size):
-            x[a] = 2.0 * now.f[a] - x[a] if part == 0.5 else now.f[a]
+            x[a] = 2.0 * now.f[a] - x[a] if part == SMALL else now.f[a]
+        before = part
     best = polish(problem, x, rank) if solved else math.inf
     return best if best <= UNDETERMINED else solve_coulomb(problem, x)
 
