@@ -137,7 +137,10 @@ def flights_of(
     noise = _noise(unknown, body, clearance) if unknown else np.zeros(2)
     for number, (motion, poses) in enumerate(zip(motions, every, strict=True)):
         sigma = noise if motion.sigma is None else np.array(motion.sigma)
-        yield motion.label(number), poses, sigma, _flights(poses, sigma, body)
+        found = [
+            one for one in _flights(poses, sigma, body) if _leaves(poses, one, sigma[0], body, clearance)
+        ]
+        yield motion.label(number), poses, sigma, found
 
 
 def checked_motions(motions: Any) -> tuple[Motion, ...]:
@@ -188,7 +191,10 @@ def _noise(poses: list[Poses], body: Body, clearance: float) -> Array:
     """
     squares = []
     for one in poses:
-        clear: Bools = np.all(one.gaps > clearance, axis=1)
+        # a fast body hits the surface between two frames that are clear of it
+        fall = np.diff(one.gaps, axis=0) - np.linalg.norm(body.gravity) * np.diff(one.t)[:, None] ** 2
+        ahead = np.vstack([one.gaps[:1], one.gaps[:1], (one.gaps[1:] + fall)[:-1]])
+        clear: Bools = np.all(np.minimum(one.gaps, ahead) > clearance, axis=1)
         stop = len(clear) if clear.all() else int(np.argmin(clear))
         if stop >= FRAMES:
             residuals = fit_flight(*one.part(slice(stop)), one.t[stop - 1], body).residuals
@@ -232,6 +238,20 @@ def _is_parabola(poses: Poses, frames: slice, sigma: float, body: Body) -> bool:
     path = poses.com[frames] - np.outer(0.5 * dt**2, body.gravity)
     line = np.column_stack([np.ones_like(dt), dt])
     return bool(np.abs(path - line @ (np.linalg.pinv(line) @ path)).max() <= LIMIT * sigma)
+
+
+def _leaves(poses: Poses, frames: slice, sigma: float, body: Body, clearance: float) -> bool:
+    """Return whether a body is clear of the surfaces in some frame, or its fall exceeds the noise.
+
+    Otherwise the frames may be those of a body at rest, whose distance from a short parabola is in the noise.
+    """
+    g = float(np.linalg.norm(body.gravity))
+    if g == 0.0 or (poses.gaps[frames].min(axis=1) > clearance).any():
+        return True
+    t = poses.t[frames] - poses.t[frames.start]
+    weights = np.linalg.pinv(np.column_stack([np.ones_like(t), t, 0.5 * t**2]))[2]  # of the acceleration
+    fall = float(weights @ (poses.com[frames] @ body.gravity)) / g
+    return fall > LIMIT * sigma * float(np.linalg.norm(weights))
 
 
 def _first_beyond(flight: Flight, poses: Poses, stop: int, sigma: Array, body: Body) -> int:
