@@ -249,6 +249,16 @@ def test_bad_input_is_named() -> None:
     rotated.jointPlacements[1] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.5 * np.pi), np.zeros(3))
     with pytest.raises(InputError, match="is rotated relative to the world; identify_sliding needs"):
         studies.identify_sliding([still], Scene(rotated, box_scene().contacts))
+    for twice_or_none in ((), ("gravity", "gravity")):
+        with pytest.raises(InputError, match=r"free: .* one or more of .*, 'gravity', each once"):
+            studies.identify_sliding([still], box_scene(), twice_or_none)
+    for twice_or_none in ((), ("com", "com")):
+        with pytest.raises(InputError, match=r"free: .* one or more of 'com', .*, each once"):
+            studies.identify_body(exact, twice_or_none)
+    with pytest.raises(InputError, match="held_out: no recordings given, at least one expected"):
+        studies.rollouts(box_scene(), [])
+    with pytest.raises(InputError, match="trajectories: no recordings given, at least one expected"):
+        studies.identify(scene=box_scene(), trajectories=[])
     noise = (1e-5, 1e-4)
     with pytest.raises(InputError, match="motion 0 has no flight of 5 frames"):
         studies.rollouts(box_scene(), [studies.Motion(t, still.q, sigma=noise)])

@@ -9,11 +9,10 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
-from ..checks import as_tuple, choice
 from ..errors import InputError
 from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
-from .estimate import Identified, fit, group_numbers, set_coefficient
+from .estimate import Identified, checked_kinds, fit, group_numbers, set_coefficient
 from .found import FoundImpacts, free_body
 
 _AXES = "xyz"
@@ -39,15 +38,14 @@ def identify_body(
         loss: As in `identify`.
 
     Raises:
-        InputError: Impacts without a scene of one free body.
+        InputError: Impacts without a scene of one free body, or no free parameter, or one twice.
         UnknownNameError: An unknown parameter or loss.
     """
     if not isinstance(found, FoundImpacts) or found.scene is None:
         raise InputError("found: the result of studies.impacts is expected", value=found)
     scene = found.scene
     inertia = free_body(scene, "identify_body")
-    kinds = as_tuple("free", free, str, "a parameter")
-    names = [name for kind in kinds for name in _NAMES[choice("free", kind, _NAMES, "a parameter")]]
+    names = [name for kind in checked_kinds(free, _NAMES) for name in _NAMES[kind]]
     every = [name for group in _NAMES.values() for name in group]
     given = np.array(inertia.inertia) / inertia.mass
     default = np.array([*inertia.lever, *(given[i, j] for i, j in _ENTRIES), 0.0])

@@ -18,7 +18,7 @@ from scipy.stats import chi, qmc, t
 from .. import checks
 from .._numeric.tolerances import HALF_DIGITS, LITTLE
 from ..arrays import Array, Integers
-from ..checks import choice, counted, finite_array, in_short, real_numbers
+from ..checks import as_tuple, choice, counted, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..scene._kernels.tolerances import RTOL
 
@@ -411,6 +411,19 @@ def checked_bounds(
             )
         checked[name] = (float(pair[0]), float(pair[1]))
     return checked
+
+
+def checked_kinds(free: Any, known: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the checked kinds of free parameters, at least one, each once."""
+    kinds = as_tuple("free", free, str, "a parameter")
+    for kind in kinds:
+        choice("free", kind, known, "a parameter")
+    if not kinds or len(set(kinds)) < len(kinds):
+        names = ", ".join(map(repr, known))
+        raise InputError(
+            f"free: {in_short(free)} given; one or more of {names}, each once, are expected", value=free
+        )
+    return kinds
 
 
 def symmetric(matrices: Array) -> bool:

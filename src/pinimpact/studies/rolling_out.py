@@ -69,7 +69,7 @@ def rollouts(scene: Scene, held_out: Sequence[Motion], *, restart: bool = False,
         **options: Keywords of `simulate`.
 
     Raises:
-        InputError: A robot that is not one free body, or recordings without flight.
+        InputError: A robot that is not one free body, no recordings, or recordings without flight.
         SimulationError: A motion that cannot be simulated.
     """
     free_body(scene, "rollouts")
@@ -96,6 +96,8 @@ class Start(NamedTuple):
 def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[Start]:
     """Return the start of each recording, or of each flight up to the end of the next one."""
     motions, body = checked_motions(recorded), Body.of(scene)
+    if not motions:
+        raise InputError(f"{field}: no recordings given, at least one expected", value=recorded)
     starts = []
     found = flights_of(scene, motions, body, CLEARANCE)
     for number, (motion, (label, poses, _, flights)) in enumerate(zip(motions, found, strict=True)):

@@ -11,14 +11,14 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from ..arrays import Array
-from ..checks import above_zero, as_tuple, choice
+from ..checks import above_zero
 from ..errors import InputError
 from ..geometry.plane import Plane
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id
 from ..scene.scene import Scene
 from ..scene.switched_off import altered
-from .estimate import Identified, fit, group_numbers, set_coefficient
+from .estimate import Identified, checked_kinds, fit, group_numbers, set_coefficient
 from .flights import Body
 from .found import free_body
 from .recordings import FRAMES, Motion, checked_motions, gaps
@@ -61,13 +61,13 @@ def identify_sliding(
 
     Raises:
         InputError: A robot that is not one free body, contacts that are not on one fixed plane, recordings in
-            which nothing slides, or a free parameter of an effect that the scene switches off.
+            which nothing slides, no free parameter, one twice, or one of an effect that is switched off.
         UnknownNameError: An unknown parameter or loss.
     """
     free_body(scene, "identify_sliding")
     motions = checked_motions(motions)
-    kinds = as_tuple("free", free, str, "a parameter")
-    names = [name for kind in kinds for name in _NAMES[choice("free", kind, _NAMES, "a parameter")]]
+    kinds = checked_kinds(free, _NAMES)
+    names = [name for kind in kinds for name in _NAMES[kind]]
     closed, slowest = above_zero("closed", closed), above_zero("slowest", slowest)
     for kind, effect in (("sliding_friction", "contact friction"), ("gravity", "gravity")):
         if kind in kinds and effect in scene.without:
