@@ -11,6 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from pinimpact import Contact, InputError, Plane, Scene, UnknownNameError
 from pinimpact.studies import Identified, predict
+from pinimpact.studies.estimate import set_coefficient
+from pinimpact.studies.posterior import posterior
+from pinimpact.studies.sampling import Sampling
 
 from .test_replay import motion_of, needs_browser, numbers, open_in_browser, pictures_of
 
@@ -190,6 +193,31 @@ def test_all_fitted_parameters_are_drawn_with_the_law_of_the_fit():
     assert ends.trajectory(0).contacts[0].restitution == ends.columns["restitution"][0]
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("given", ["fits", "over"])
+def test_parameters_of_single_contacts_override_general_ones_in_any_order(first, given):
+    """The fits have no scatter, so that each contact has one known friction."""
+    scene = _body([Contact("tip", Plane(), name=name) for name in ("floor", "wall")])
+    known = {"friction": 0.5, "friction:floor": 0.2}
+    setters = {"friction": set_coefficient}
+    fits = {
+        name: _fitted(
+            x=np.array([mu]), names=(name,), covariance=np.zeros((1, 1)), bounds=np.array([[0.0], [1.0]]),
+            setters=setters,
+        )
+        for name, mu in known.items()
+    }  # fmt: skip
+    one, other = list(known)[:: 1 - 2 * first]
+    if given == "fits":
+        over = {(name,): posterior(fits[name], np.zeros(1)) for name in (one, other)}
+    else:
+        over = {one: stats.uniform(known[one], 0.0), (other,): posterior(fits[other], np.zeros(1))}
+    sampling = Sampling(scene, START, np.zeros(6), over, 1, 0, "random")
+    contacts = sampling.apply(sampling.draw(0, 1)[0])[0].contacts
+    assert [contact.friction for contact in contacts] == pytest.approx([0.2, 0.5])
+    assert {contact.law for contact in contacts} == {"newton"}
+
+
 def test_replay_of_cloud_around_sample_nearest_to_median(tmp_path):
     spread = {"v0": np.diag([0.04, 0.04, 0.01, 1.0, 1.0, 1.0])}
     found = predict(_body(), _fitted(), START, np.zeros(6), 0.2, start=spread, samples=20)
@@ -225,6 +253,14 @@ def test_cloud_in_browser(tmp_path):
     assert violet[1] > 2 * violet[0] > 0
 
 
+OF_TWO_LAWS = [
+    _fitted(
+        x=np.array([0.5]), names=(name,), covariance=np.eye(1), bounds=np.array([[0.0], [1.0]]), law=law
+    )
+    for name, law in (("friction", "poisson"), ("restitution", "newton"))
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("error", "match", "change"),
     [
@@ -236,6 +272,7 @@ def test_cloud_in_browser(tmp_path):
         (UnknownNameError, "start: 'x' given", {"start": {"x": np.eye(6)}}),
         (InputError, r"shape \(3, 3\) given, \(6, 6\) expected", {"start": {"q0": np.eye(3)}}),
         (InputError, "reduce: given", {"reduce": dict}),
+        (InputError, "fits with the laws newton and poisson given", {"fitted": OF_TWO_LAWS}),
         (InputError, "no draws around", {"fitted": _fitted(x=np.array([50.0, 0.5]))}),
     ],
 )  # fmt: skip

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..checks import finite_array
 from ..errors import InputError
-from ..scene.scene import Scene
 from .estimate import Identified, symmetric
 
 DRAWS = 10_000
@@ -47,11 +46,6 @@ class Posterior(Normal):
             f"fitted: no draws around {self.mean.tolist()} are within the bounds; fit with wider bounds",
             value=self.mean,
         )
-
-    def apply(self, scene: Scene, numbers: Array) -> Scene:
-        """Return the scene with drawn parameters."""
-        changed: Scene = Identified(self.fitted | {"x": numbers}).apply(scene)
-        return changed
 
 
 def posterior(fitted: Identified, spread: Array) -> Posterior:

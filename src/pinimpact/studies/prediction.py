@@ -133,7 +133,7 @@ def predict(
     """Predict where a free body ends up, from parameters that were identified. (studies.md)
 
     Samples draw the parameters from normal distributions with the covariance of the fit, within its bounds,
-    and have the restitution law of the fit.
+    and have the restitution law of the fit. Parameters of single contacts override those of all contacts.
 
     Args:
         scene: The scene, with one free body or a robot with a free base.
@@ -150,7 +150,8 @@ def predict(
         **options: Further arguments of `ensemble` and `simulate`.
 
     Raises:
-        InputError: A scene without a free base, a covariance that is none; the errors of `ensemble`.
+        InputError: A scene without a free base, a covariance that is none, fits with different laws; the
+            errors of `ensemble`.
         UnknownNameError: A name in `scatter` or `start` that does not exist.
     """
     model = scene.model

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from ..checks import choice, counted, finite_array, in_short, near_matches, whol
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..robot.names import coordinate_names
 from ..scene.scene import Scene
+from .estimate import Identified, set_coefficient
 from .posterior import Posterior
 
 COEFFICIENTS = ("friction", "restitution", "sliding_friction", "stiffness")
@@ -66,6 +66,17 @@ class Sampling:
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
             raise InputError(f"over: {twice[0]!r} is given twice", value=twice[0])
+        fits = [distribution.fitted for _, distribution in self._parts if isinstance(distribution, Posterior)]
+        laws = sorted({fit.law for fit in fits if fit.law is not None})
+        if len(laws) > 1:
+            raise InputError(
+                f"fitted: fits with the laws {' and '.join(laws)} given, fits with one law expected",
+                value=laws,
+            )
+        self._law = laws[0] if laws else None
+        self._setters = dict.fromkeys(COEFFICIENTS, set_coefficient)
+        for fit in fits:
+            self._setters |= fit.setters
         if self.design == "saltelli":
             block = len(self.names) + 2
             self.base = 2 ** math.ceil(math.log2(max(-(-self.samples // block), 1)))
@@ -157,24 +168,11 @@ class Sampling:
 
     def apply(self, numbers: Array) -> tuple[Scene, Array, Array]:
         """Return the scene, q0 and v0 of a sample."""
-        changes: dict[str, dict[str, float]] = {}
-        scene, rest = self.scene, numbers
-        for names, distribution in self._parts:
-            drawn, rest = rest[: len(names)], rest[len(names) :]
-            if isinstance(distribution, Posterior):
-                scene = distribution.apply(scene, drawn)
-                continue
-            for name, number in zip(names, drawn.tolist(), strict=True):
-                kind, _, of = name.partition(":")
-                if kind in COEFFICIENTS:
-                    changes.setdefault(of, {})[kind] = number
-        if changes:
-            everywhere = changes.get("", {})
-            contacts = [
-                replace(contact, **{**everywhere, **changes.get(contact.label, {})})  # type: ignore[arg-type]
-                for contact in scene.contacts
-            ]
-            scene = replace(scene, contacts=contacts)
+        of_scene = [j for j, name in enumerate(self.names) if name.partition(":")[0] not in ("q0", "v0")]
+        names = [self.names[j] for j in of_scene]
+        # all in one, so that parameters of single contacts override general ones of other distributions
+        drawn = Identified(names=names, x=numbers[of_scene], law=self._law, setters=self._setters)
+        scene = drawn.apply(self.scene) if names else self.scene
         q, v = self.states(numbers[None])
         return scene, q[0], v[0]
 
