@@ -206,8 +206,13 @@ def test_rollouts_of_true_and_other_model() -> None:
     again = studies.rollouts(scene, motions, restart=True)
     assert len(again) >= 4
     assert again.at_end()[:, 0].max() < 1e-3
-    with pytest.raises(InputError, match="its errors belong to data other than those of test"):
-        studies.compare(true, again)
+    moved = [studies.Motion(one.t, one.q + np.eye(7)[0], group=one.group) for one in motions]
+    permuted = [motions[k] for k in (1, 0, 2, 3, 4, 5)]
+    unlike = [again, *(studies.rollouts(scene, some) for some in (moved, permuted))]
+    for one in unlike:
+        with pytest.raises(InputError, match="its errors belong to data other than those of test"):
+            studies.compare(true, one)
+    assert studies.compare(other, unlike[1], paired=False).difference[0] > 0.0
 
 
 def test_rounded_quaternions() -> None:

@@ -408,6 +408,32 @@ def test_cross_validation_of_recorded_cubes(cubes) -> None:
     assert cross_validated(cubes) <= 0.0430
 
 
+def test_paired_fits_belong_to_the_same_impacts_with_the_same_weights() -> None:
+    rng = np.random.default_rng(15)
+    W, before = random_bodies(30, rng)
+    after = solve_impacts(W, before, 0.3, 0.5).velocity + 0.05 * rng.normal(size=(30, 3))
+    fit = studies.identify((W, before, after))
+    newton = studies.identify((W.copy(), before.copy(), after.copy()), law="newton")
+    assert studies.compare(fit, newton).groups == 30
+    turned = np.roll(np.arange(30), 1)
+    others = {
+        "velocities": (W, before, after + 1e-6),
+        "masses": (0.01 * W, before, after),
+        "order": (W[turned], before[turned], after[turned]),
+    }
+    for found in others.values():
+        other = studies.identify(found)
+        with pytest.raises(InputError, match="other: its errors belong to data other than those of test"):
+            studies.compare(fit, other)
+        assert studies.compare(fit, other, paired=False).groups == 30
+    whitened = studies.identify((W, before, after), covariance=0.05**2 * np.eye(3))
+    for paired in (True, False):
+        with pytest.raises(
+            InputError, match=r"errors are those of impacts by covariance, .* by energy: their"
+        ):
+            studies.compare(fit, whitened, paired)
+
+
 def test_fit_without_effects_that_the_scene_switches_off() -> None:
     """The impacts are without friction and locked joints; the scene has both, but switches them off."""
     robot = load_robot("solo12")
@@ -422,11 +448,17 @@ def test_fit_without_effects_that_the_scene_switches_off() -> None:
     rough = Scene(robot, [Contact("FL_FOOT", Plane(), 0.3, 0.9)], locked=("FL_KFE",))
     free = {"restitution": (0.0, 1.0)}
     without = ("contact friction", "locked joints")
-    plain = studies.identify((q, v, after), replace(rough, without=without), free)
+    weights = {"covariance": np.eye(18)}
+    plain = studies.identify((q, v, after), replace(rough, without=without), free, **weights)
     assert plain.x == pytest.approx([0.4], abs=1e-9)
     for some in ((), without[:1], without[1:]):
-        fit = studies.identify((q, v, after), replace(rough, without=some), free)
+        fit = studies.identify((q, v, after), replace(rough, without=some), free, **weights)
         assert studies.compare(fit, plain).interval[0, 0] > 0.1
+    by_energy = [
+        studies.identify((q, v, after), replace(rough, without=some), free) for some in (without, without[:1])
+    ]
+    with pytest.raises(InputError, match=r"give .* fits of different scenes the same covariance="):
+        studies.compare(*by_energy)  # locked joints change the energy of a velocity
     with pytest.raises(InputError, match="free: friction is free, but the scene is without contact friction"):
         studies.identify((q, v, after), replace(rough, without=without))
     with pytest.raises(InputError, match="free: restitution is free, but the scene is without restitution"):

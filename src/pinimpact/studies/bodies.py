@@ -14,6 +14,7 @@ from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
 from .estimate import Identified, checked_kinds, fit, group_numbers, set_coefficient
 from .found import FoundImpacts, free_body
+from .measured import digests
 
 _AXES = "xyz"
 _ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -51,6 +52,7 @@ def identify_body(
     default = np.array([*inertia.lever, *(given[i, j] for i, j in _ENTRIES), 0.0])
     where = [every.index(name) for name in names]
     balance = _Balance(found, scene, given)
+    rows = digests(found.q, found.v_before, found.v_after, found.contact, [balance.root] * len(found))
 
     def whole(x: Array) -> Array:
         values = default.copy()
@@ -69,8 +71,10 @@ def identify_body(
         lambda x: balance.residual(whole(x), fixed),
         lambda x: balance.jacobian(whole(x), fixed)[:, :, where],
         bounds,
-        group_numbers(found.group, len(found)),
+        group_numbers(found.group, rows),
         loss,
+        measure="impacts by momentum",
+        rows=rows,
         limits=dict.fromkeys((*_NAMES["inertia"][:3], "radius"), (0.0, np.inf)),
         setters={"com": _set_inertia, "inertia": _set_inertia, "radius": set_coefficient},
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ from ..arrays import Array
 from ..checks import in_short, truth_value
 from ..errors import InputError
 from .estimate import Identified
+from .measured import digests
 from .rolling_out import RollOuts
 
 RESAMPLES = 2000
@@ -26,7 +26,7 @@ class Comparison:
 
     Attributes:
         difference: (k,) means over groups: of roll-outs those of position [m] and rotation [rad], of fits
-            the length of the residuals of a row, k = 1.
+            the length of the residuals of a row, k = 1, in their unit: √J by energy, 1 by covariance.
         interval: (k, 2) from, to.
         groups: Number of groups.
     """
@@ -55,12 +55,23 @@ def compare(
         seed: Seed of the bootstrap.
 
     Raises:
-        InputError: Paired roll-outs or fits of different data, or fewer than two groups.
+        InputError: Paired roll-outs or fits of different data, or of impacts with different weights: fits
+            weigh by the kinetic energy of their scene unless they have the same ``covariance=``; errors with
+            different units, paired or not; fewer than two groups.
     """
     level, seed = checks.level(level), checks.whole_number("seed", seed, 0)
-    (one, rows), (two, others) = _by_group("test", test), _by_group("other", other)
-    if type(test) is not type(other) or (truth_value("paired", paired) and rows != others):
-        raise InputError("other: its errors belong to data other than those of test", value=other)
+    (one, measure, data), (two, measured, others) = _by_group("test", test), _by_group("other", other)
+    if measured != measure:
+        raise InputError(
+            f"other: its errors are those of {measured}, those of test of {measure}: their units differ",
+            value=other,
+        )
+    if truth_value("paired", paired) and data != others:
+        raise InputError(
+            "other: its errors belong to data other than those of test, or weigh them otherwise; give "
+            "paired=False for other data, and fits of different scenes the same covariance=",
+            value=other,
+        )
     options = {"confidence_level": level, "n_resamples": RESAMPLES, "rng": np.random.default_rng(seed)}
     difference = one.mean(axis=0) - two.mean(axis=0)
     if paired:
@@ -75,15 +86,14 @@ def compare(
     return Comparison(difference, interval, len(one))
 
 
-def _by_group(name: str, model: Any) -> tuple[Array, Sequence[Any]]:
-    """Return the mean errors (groups, k), and what identifies the data."""
+def _by_group(name: str, model: Any) -> tuple[Array, str, Any]:
+    """Return the mean errors (groups, k), what they are, and the groups and digests of the data."""
     if isinstance(model, RollOuts):
-        errors, labels = model.mean(), model.group
-        rows: Sequence[Any] = (labels, model.start)
+        errors, labels, measure = model.mean(), model.group, "roll-outs"
+        rows = digests(model.time, model.recorded)
     elif isinstance(model, Identified):
-        labels = tuple(model.group.tolist())
+        labels, measure, rows = tuple(model.group.tolist()), model.measure, model.rows
         errors = np.linalg.norm(model.fun.reshape(len(labels), -1), axis=1)[:, None]
-        rows = labels
     else:
         labels = ()
     groups = list(dict.fromkeys(labels))
@@ -92,4 +102,4 @@ def _by_group(name: str, model: Any) -> tuple[Array, Sequence[Any]]:
             f"{name}: {in_short(model)} given; roll-outs or a fit of two or more groups expected", value=model
         )
     which = np.array([groups.index(label) for label in labels])
-    return np.array([errors[which == k].mean(axis=0) for k in range(len(groups))]), rows
+    return np.array([errors[which == k].mean(axis=0) for k in range(len(groups))]), measure, (labels, rows)

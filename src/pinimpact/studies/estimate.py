@@ -52,6 +52,8 @@ class Identified(OptimizeResult):
         covariance: (p, p) their covariance by leaving out groups (I4); infinite where there is none.
         groups: Number of groups.
         group: (n,) number of the group of each row of residuals.
+        measure: What the residuals are; those of other fits are comparable if theirs are the same.
+        rows: (n,) digests of the measurements of each row, and of their weights.
         degrees: (p,) degrees of freedom of the intervals (I5), fewer if groups have unequal weight.
         unidentified: One sentence for each parameter that the data do not determine, within its bounds.
         fun: (n m,) whitened residuals, row by row; `jac` and `cost` are as in `scipy.optimize.least_squares`.
@@ -351,8 +353,9 @@ def _unidentified(
     return tuple(sentences)
 
 
-def group_numbers(group: Any, count: int) -> Integers:
+def group_numbers(group: Any, rows: Sequence[bytes]) -> Integers:
     """Return the index of the group (n,) of each row; None: each row is a group of its own."""
+    count = len(rows)
     if group is None:
         numbers = np.arange(count)
     else:

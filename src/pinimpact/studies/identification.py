@@ -21,6 +21,7 @@ from ..scene.switched_off import in_impacts
 from ..status import Flag, Status
 from . import estimate
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
+from .measured import digests
 from .motion_fit import fit_motions
 from .one_step import ONE_STEP, OneStepSolution, solve_one_step
 from .recordings import Motion
@@ -45,6 +46,8 @@ class _Rows(NamedTuple):
     contact: NDArray[Any]  # (N,) names, empty for arrays in contact space
     coefficients: Array  # (2, N) μ and e where they are not free
     law: str
+    measure: str  # what the residuals are
+    digests: tuple[bytes, ...]  # of the measurements and weights of each row
     stiff: StiffJoints | None = None  # joints with fitted stiffening, on which W and the map then depend
 
     def at(self, x: Array) -> tuple[_Rows, Array, Array]:
@@ -125,7 +128,7 @@ def identify(
         if group is None and isinstance(found, FoundImpacts):
             group = given.group
         rows = _of_robot(given, scene, law, covariance, _stiffened(bounds))
-    numbers = estimate.group_numbers(group, len(rows.velocity))
+    numbers = estimate.group_numbers(group, rows.digests)
     return _fitted(rows, bounds, numbers, loss)
 
 
@@ -202,6 +205,8 @@ def _fitted(
         trial=partial(residual, derivatives=False),
         limits=_limits(bounds, RANGES | STIFFENING),
         law=rows.law,
+        measure=rows.measure,
+        rows=rows.digests,
         setters=setters,
     )
 
@@ -310,7 +315,8 @@ def _of_arrays(
             row[:] = (coefficient if name == "restitution" else at_least_zero)(name, fixed[name])
     weights = _energy_root(W) if covariance is None else estimate.whitener(covariance, count, 3) @ W
     target = _targets(weights, W, after - before)
-    return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law)
+    data = _measured(covariance, before, after, W)
+    return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law, *data)
 
 
 def _of_robot(
@@ -344,7 +350,21 @@ def _of_robot(
     e = [one.restitution_at(speed) for one, speed in zip(struck, approach.tolist(), strict=True)]
     coefficients, names = np.array([[one.friction for one in struck], e]), np.asarray(found.contact)
     joints = None if root is None or not stiff else stiff_joints(stiff, scene, all_of, root)
-    return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop(), joints)
+    inertia = np.array([one.mass for one in all_of]) if stiff else W
+    data = _measured(covariance, found.q, found.v_before, found.v_after, names, inertia)
+    return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop(), *data, joints)
+
+
+def _measured(covariance: ArrayLike | None, *columns: Any) -> tuple[str, tuple[bytes, ...]]:
+    """Return what residuals are, and digests of the data and of their weights.
+
+    The last column are the matrices that weigh the kinetic energy, if there is no covariance.
+    """
+    if covariance is None:
+        return "impacts by energy", digests(*columns)
+    given = np.asarray(covariance, dtype=float)
+    matrices = np.broadcast_to(given, (len(columns[0]), *given.shape[-2:]))
+    return "impacts by covariance", digests(*columns[:-1], matrices)
 
 
 def _energy_root(W: Array) -> Array:

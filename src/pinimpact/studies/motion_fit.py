@@ -19,6 +19,7 @@ from ..scene.scene import Scene
 from .estimate import LOSSES, Identified, best_start, fit, group_numbers, robust_scale, with_covariance
 from .flights import Body
 from .found import free_body
+from .measured import digests
 from .rolling_out import Start, differences, starts_of
 
 SAMPLES = 32
@@ -104,9 +105,15 @@ class _Fits(NamedTuple):
             return np.array(list(map(one, starts)))
         return np.array(list(self.executor.map(one, starts, chunksize=-(-len(starts) // CHUNKS))))
 
+    def data(self, starts: list[Start]) -> tuple[Integers, dict[str, Any]]:
+        """Return the groups of motions, and what identifies their residuals."""
+        rows = digests(*zip(*((start.t, start.recorded, self.root) for start in starts), strict=True))
+        return group_numbers([start.label for start in starts], rows), {"measure": "motions", "rows": rows}
+
     def to_flights(self, starts: list[Start]) -> Identified:
         """Fit flights by least squares, with finite differences."""
         low, high = np.array(list(self.bounds.values())).T
+        group, known = self.data(starts)
         at = lru_cache(1)(lambda x: self.residual(starts, np.array(x)))
 
         @lru_cache(1)
@@ -119,17 +126,18 @@ class _Fits(NamedTuple):
         return fit(
             lambda x: at(tuple(x.tolist())),
             lambda x: slopes_at(tuple(x.tolist())),
-            *(self.bounds, _groups(starts), self.loss),
+            *(self.bounds, group, self.loss),
             trial=partial(self.residual, _some(starts, FIRST)),
             tolerance=TOLERANCE,
             limits=self.limits,
             law=self.law,
             setters=self.setters,
+            **known,
         )
 
     def to_whole_motions(self, starts: list[Start], near: Array) -> Identified:
         """Fit whole motions by a derivative-free trust-region method (COBYQA), from x = `near` (p,)."""
-        group = _groups(starts)
+        group, known = self.data(starts)
         low, high = np.array(list(self.bounds.values())).T
         at = lru_cache(None)(lambda x: self.residual(starts, np.array(x)))  # few points, some of them twice
 
@@ -160,7 +168,7 @@ class _Fits(NamedTuple):
         found |= {"fun": here.ravel(), "jac": slopes.reshape(-1, len(low))}
         found.cost = float(LOSSES[self.loss]((here / scale) ** 2)[0].sum()) * 0.5 * scale**2
         given = found, self.bounds, here, slopes, group, self.loss, scale
-        result = with_covariance(*given, limits=self.limits, law=self.law, setters=self.setters)
+        result = with_covariance(*given, limits=self.limits, law=self.law, setters=self.setters, **known)
         _without_jumps(result, ahead, behind)
         return result
 
@@ -168,10 +176,6 @@ class _Fits(NamedTuple):
 def _some(starts: list[Start], most: int) -> list[Start]:
     """Return at most `most` of the starts, evenly spaced."""
     return starts[:: -(-len(starts) // most)]
-
-
-def _groups(starts: list[Start]) -> Integers:
-    return group_numbers([start.label for start in starts], len(starts))
 
 
 def _without_jumps(result: Identified, ahead: Array, behind: Array) -> None:

@@ -30,6 +30,7 @@ class RollOuts:
             these times.
         group: (n,) labels.
         start: (n,) numbers of the recording and of its frame at which each starts.
+        recorded: Recorded configurations (k, 7) at these times, one array for each.
     """
 
     time: tuple[Array, ...]
@@ -37,6 +38,7 @@ class RollOuts:
     rotation: tuple[Array, ...]
     group: tuple[Any, ...]
     start: tuple[tuple[int, int], ...]
+    recorded: tuple[Array, ...]
 
     def mean(self) -> Array:
         """Return the means (n, 2) over time of the errors of position [m] and rotation [rad]."""
@@ -77,7 +79,7 @@ def rollouts(scene: Scene, held_out: Sequence[Motion], *, restart: bool = False,
     for start in starts_of(scene, held_out, truth_value("restart", restart), "held_out"):
         position, turn = differences(scene, start, **options)
         errors = np.linalg.norm(position, axis=1), np.linalg.norm(turn, axis=1)
-        rows.append((start.t, *errors, start.label, start.place))
+        rows.append((start.t, *errors, start.label, start.place, start.recorded))
     return RollOuts(*(tuple(column) for column in zip(*rows, strict=True)))
 
 
@@ -91,6 +93,7 @@ class Start(NamedTuple):
     rotation: Rotation  # (n,) recorded rotations
     label: Any
     place: tuple[int, int]  # numbers of the recording and of the frame
+    recorded: Array  # (n, 7) recorded configurations
 
 
 def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[Start]:
@@ -112,7 +115,8 @@ def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[St
             q[:3] += _lift(scene, q)
             v = generalized(state, state.rotation, body)
             t, com, rotation = poses.part(slice(flight.start, stop))
-            starts.append(Start(q, v, t - t[0], com, rotation, label, (number, flight.start)))
+            place = number, flight.start
+            starts.append(Start(q, v, t - t[0], com, rotation, label, place, motion.q[flight.start : stop]))
     return starts
 
 

@@ -21,6 +21,7 @@ from ..scene.switched_off import altered
 from .estimate import Identified, checked_kinds, fit, group_numbers, set_coefficient
 from .flights import Body
 from .found import free_body
+from .measured import digests
 from .recordings import FRAMES, Motion, checked_motions, gaps
 
 _NAMES = {"sliding_friction": ("sliding_friction",), "gravity": ("gravity:t1", "gravity:t2")}
@@ -85,7 +86,8 @@ def identify_sliding(
             value=len(motions),
         )
     rows, targets = np.array([slide.rows for slide in slides]), np.array([slide.target for slide in slides])
-    group = group_numbers([slide.label for slide in slides], len(slides))
+    known: dict[str, Any] = dict(measure="slides", rows=digests(rows, targets), slides=len(slides))
+    group = group_numbers([slide.label for slide in slides], known["rows"])
     strength, given = float(np.linalg.norm(body.gravity)), axes[:2] @ body.gravity
     sustained = altered(scene.contacts[0], scene.without).sustained_friction
     place = {name: j for j, name in enumerate(names)}
@@ -112,7 +114,7 @@ def identify_sliding(
     bounds = dict(zip(names, _bounds(names, given, strength), strict=True))
     setters = {"sliding_friction": set_coefficient, "gravity": _set_gravity}
     limits = {"sliding_friction": (0.0, np.inf)}
-    return fit(residual, jacobian, bounds, group, loss, limits=limits, setters=setters, slides=len(slides))
+    return fit(residual, jacobian, bounds, group, loss, limits=limits, setters=setters, **known)
 
 
 def _bounds(names: Sequence[str], given: Array, strength: float) -> list[tuple[float, float]]:
