@@ -316,6 +316,31 @@ def test_apply_sets_law_of_fit() -> None:
     assert (contact.law, contact.friction) == ("newton", pytest.approx(0.2, abs=1e-6))
 
 
+@pytest.mark.parametrize("copies", [2, 3])
+def test_copies_of_the_data_are_the_same_groups(copies) -> None:
+    """Copies of all groups, under other labels and in another order, change neither fit nor interval."""
+    found, group = tosses(np.random.default_rng(16), groups=12)
+    fit = studies.identify(found, group=group)
+    order = np.random.default_rng(17).permutation(copies * len(group))
+    repeated = [np.concatenate([column] * copies)[order] for column in found]
+    labels = np.concatenate([group + 100 * k for k in range(copies)])[order]
+    again = studies.identify(repeated, group=labels)
+    assert again.groups == 12
+    assert again.interval() == pytest.approx(fit.interval(), abs=1e-6)
+    newton = studies.identify(repeated, group=labels, law="newton")
+    assert studies.compare(newton, again).groups == 12
+
+
+def test_one_impact_in_two_groups_has_no_interval() -> None:
+    W, before = random_bodies(1, np.random.default_rng(18))
+    after = solve_impacts(W, before, 0.3, 0.5).velocity + 0.01
+    given = [np.concatenate([column, column]) for column in (W, before, after)]
+    fit = studies.identify(given, free={"restitution": (0, 1)}, fixed={"friction": 0.3})
+    assert fit.unidentified == ("restitution has no interval: only one group determines it.",)
+    assert fit.interval().tolist() == [[0.0, 1.0]]
+    assert fit.groups == 1
+
+
 def test_figure_has_axes_for_each_parameter() -> None:
     W, before = random_bodies(20, np.random.default_rng(10))
     after = solve_impacts(W, before, 0.2, 0.4).velocity
@@ -334,6 +359,8 @@ def test_figure_has_axes_for_each_parameter() -> None:
         ({"loss": "hubber"}, UnknownNameError, "loss: 'hubber' is not a loss"),
         ({"law": "kane"}, UnknownNameError, "is not a restitution law"),
         ({"group": [1, 2]}, InputError, r"group: \[1, 2\] given; 5 labels, one for each row"),
+        ({"group": [1, 2, 3, 4, float("nan")]}, InputError, "group: NaN given as a label"),
+        ({"group": np.full(5, np.nan)}, InputError, "group: NaN given as a label"),
         ({"group": [1] * 5}, InputError, "5 rows in 1 group; intervals that are robust to groups need two"),
         ({"found": (np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3)))}, InputError, "0 rows in 0 gr"),
         ({"free": {"restitution": (0, 1)}, "fixed": {"friction": "a"}}, InputError, "friction: 'a' given"),

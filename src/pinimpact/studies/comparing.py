@@ -13,7 +13,7 @@ from ..arrays import Array
 from ..checks import in_short, truth_value
 from ..errors import InputError
 from .estimate import Identified
-from .measured import digests
+from .measured import digests, numbered
 from .rolling_out import RollOuts
 
 RESAMPLES = 2000
@@ -28,7 +28,7 @@ class Comparison:
         difference: (k,) means over groups: of roll-outs those of position [m] and rotation [rad], of fits
             the length of the residuals of a row, k = 1, in their unit: √J by energy, 1 by covariance.
         interval: (k, 2) from, to.
-        groups: Number of groups.
+        groups: Number of groups; if each is given k times, its copies are one.
     """
 
     difference: Array
@@ -89,17 +89,17 @@ def compare(
 def _by_group(name: str, model: Any) -> tuple[Array, str, Any]:
     """Return the mean errors (groups, k), what they are, and the groups and digests of the data."""
     if isinstance(model, RollOuts):
-        errors, labels, measure = model.mean(), model.group, "roll-outs"
         rows = digests(model.time, model.recorded)
+        errors, group, measure = model.mean(), numbered(model.group, rows), "roll-outs"
     elif isinstance(model, Identified):
-        labels, measure, rows = tuple(model.group.tolist()), model.measure, model.rows
-        errors = np.linalg.norm(model.fun.reshape(len(labels), -1), axis=1)[:, None]
+        group, measure, rows = model.group, model.measure, model.rows
+        errors = np.linalg.norm(model.fun.reshape(len(group), -1), axis=1)[:, None]
     else:
-        labels = ()
-    groups = list(dict.fromkeys(labels))
-    if len(groups) < 2:
+        group = np.zeros(0, np.int64)
+    groups = len(set(group.tolist()))
+    if groups < 2:
         raise InputError(
             f"{name}: {in_short(model)} given; roll-outs or a fit of two or more groups expected", value=model
         )
-    which = np.array([groups.index(label) for label in labels])
-    return np.array([errors[which == k].mean(axis=0) for k in range(len(groups))]), measure, (labels, rows)
+    means = np.array([errors[group == k].mean(axis=0) for k in range(groups)])
+    return means, measure, (group.tolist(), rows)

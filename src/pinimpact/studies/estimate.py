@@ -21,6 +21,7 @@ from ..arrays import Array, Integers
 from ..checks import as_tuple, choice, counted, finite_array, in_short, real_numbers
 from ..errors import InputError
 from ..scene._kernels.tolerances import RTOL
+from .measured import numbered
 
 STARTS = 16
 """Number of points of a Halton sequence in the bounds; the one with the least cost is the start of a fit."""
@@ -50,7 +51,7 @@ class Identified(OptimizeResult):
         names: Their names.
         bounds: (2, p) their bounds.
         covariance: (p, p) their covariance by leaving out groups (I4); infinite where there is none.
-        groups: Number of groups.
+        groups: Number of groups; if each is given k times, its copies are one.
         group: (n,) number of the group of each row of residuals.
         measure: What the residuals are; those of other fits are comparable if theirs are the same.
         rows: (n,) digests of the measurements of each row, and of their weights.
@@ -290,14 +291,15 @@ def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array
     spread = np.where(alone, 0.0, shares / np.where(alone, 1.0, 1.0 - shares) ** 2)
     weights = np.einsum("gia,ga->gi", np.einsum("ij,gja->gia", root, turned) ** 2, spread)
     squares = (weights**2).sum(axis=0)
-    degrees = np.full(len(widths), count - 1.0)
+    most = max(count - 1.0, 1.0)
+    degrees = np.full(len(widths), most)
     np.divide(weights.sum(axis=0) ** 2, squares, out=degrees, where=squares > 0.0)
     null = np.linalg.norm(vectors[:, ~kept], axis=1)
     lone = np.linalg.norm(np.einsum("ij,gja,ga->gai", root / widths[:, None], turned, alone), axis=(0, 1))
     none = np.maximum(null, lone) > np.sqrt(eps)
     covariance[none] = covariance[:, none] = 0.0
     covariance[none, none] = np.inf
-    return covariance, np.minimum(degrees, count - 1.0), null > np.sqrt(eps), none
+    return covariance, np.minimum(degrees, most), null > np.sqrt(eps), none
 
 
 def _exceeded(
@@ -354,26 +356,25 @@ def _unidentified(
 
 
 def group_numbers(group: Any, rows: Sequence[bytes]) -> Integers:
-    """Return the index of the group (n,) of each row; None: each row is a group of its own."""
+    """Return the index of the group (n,) of each row; None: each row is a group of its own.
+
+    Copies of the data are no further groups; see `numbered`.
+    """
     count = len(rows)
-    if group is None:
-        numbers = np.arange(count)
-    else:
-        labels = list(group) if isinstance(group, Iterable) else []
-        if len(labels) != count or not all(isinstance(label, Hashable) for label in labels):
-            raise InputError(
-                f"group: {in_short(group)} given; {count} labels, one for each row, are expected", value=group
-            )
-        order = {label: k for k, label in enumerate(dict.fromkeys(labels))}
-        numbers = np.array([order[label] for label in labels])
-    groups = len(np.unique(numbers))
+    given = range(count) if group is None else group
+    labels = list(given) if isinstance(given, Iterable) else []
+    if len(labels) != count or not all(isinstance(label, Hashable) for label in labels):
+        raise InputError(
+            f"group: {in_short(group)} given; {count} labels, one for each row, are expected", value=group
+        )
+    numbers, groups = numbered(labels, rows), len(set(labels))
     if groups < 2:
         raise InputError(
             f"group: {counted(count, 'row')} in {counted(groups, 'group')}; intervals that are robust to "
             "groups need two groups at least",
             value=group,
         )
-    return numbers.astype(np.int64)
+    return numbers
 
 
 def checked_bounds(
