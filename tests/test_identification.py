@@ -102,6 +102,21 @@ def test_coefficients_beyond_the_bounds_are_named(truth, free, named) -> None:
     assert all(re.match(pattern, sentence) for pattern, sentence in zip(named, found, strict=True))
 
 
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+@pytest.mark.parametrize(("beyond", "named"), [(0.0, False), (1e-5, True)])
+def test_exact_coefficients_at_a_bound_are_not_beyond_it(beyond, named, loss) -> None:
+    """The unbounded fit of exact impacts ends at the true values, within rounding errors."""
+    for seed in range(4):
+        W, before = random_bodies(60, np.random.default_rng(seed))
+        before[:, :2] *= 20.0
+        for bounded, mu, e in (("friction", 2.0 + beyond, 0.5), ("restitution", 0.3, 0.8 + beyond)):
+            free = {"friction": (0, 2), "restitution": (0, 0.8)}
+            fit = studies.identify(
+                (W, before, solve_impacts(W, before, mu, e).velocity), free=free, loss=loss
+            )
+            assert [sentence.partition(" ")[0] for sentence in fit.unidentified] == [bounded] * named
+
+
 def test_coefficients_of_single_contacts_of_a_robot() -> None:
     robot = load_robot("solo12")
     rng = np.random.default_rng(2)

@@ -312,7 +312,8 @@ def _exceeded(
 ) -> Array:
     """Return the bound (p,) at which each parameter ends although the cost falls beyond it, or NaN.
 
-    A Gauss–Newton step from a minimum is zero; from a bound it may lead out of the bounds.
+    A Gauss–Newton step from a minimum is zero; from a bound it may lead out of the bounds. A minimum is found
+    to half of the digits only, so steps that end less than that beyond a bound end at it.
     """
     widths = bounds[1] - bounds[0]
     hessian = hessians.sum(axis=0) * np.outer(widths, widths)
@@ -321,7 +322,8 @@ def _exceeded(
     for i, name in enumerate(names):
         for bound, sign, limit in zip(bounds[:, i], (-1.0, 1.0), limits.get(name, (None, None)), strict=True):
             near = abs(x[i] - bound) < LITTLE * widths[i]
-            if near and bound != limit and sign * (x[i] + step[i] - bound) > 0.0:
+            beyond = sign * (x[i] + step[i] - bound)
+            if near and bound != limit and beyond > HALF_DIGITS * widths[i]:
                 ends[i] = bound
     return ends
 
