@@ -178,8 +178,39 @@ def test_gravity_that_cannot_be_fitted_raises() -> None:
     q = np.tile([0.042, 0, 0, 0, 0, 0, 1.0], (len(t), 1))
     q[:, 1] = 2.0 * t
     motions = [studies.Motion(t, q, group=k) for k in range(2)]
-    with pytest.raises(InputError, match="gravity does not press a body onto the plane"):
-        studies.identify_sliding(motions, wall)
+    for free in ("gravity", "sliding_friction"):
+        with pytest.raises(InputError, match=r"scene: gravity has \+0 m/s² along the normal of the plane"):
+            studies.identify_sliding(motions, wall, free)
+
+
+def test_planes_that_no_body_can_slide_on_raise() -> None:
+    """The recorded box slides on z = 0; it cannot slide below a plane, nor 1 m above or below one."""
+    t = np.arange(0.0, 0.2, 1 / 150)
+    q = np.tile([0, 0, 0.062, 0, 0, 0, 1.0], (len(t), 1))
+    motions = []
+    for k, speed in enumerate((2.0, -3.0)):
+        path = q.copy()
+        path[:, 0] = speed * t - 0.5 * np.sign(speed) * 0.3 * 9.81 * t**2
+        motions.append(studies.Motion(t, path, group=k))
+    scene, only = box_scene(), ("sliding_friction",)
+    fit = studies.identify_sliding(motions, scene)
+    assert fit.x[0] == pytest.approx(0.3, abs=1e-8)
+    up = scene.model.copy()
+    up.gravity.linear = np.array([0.0, 0.0, 9.81])
+    lifted, ceiling = (
+        Scene(up, scene.contacts), replace_planes(scene, pinimpact.Plane(normal=(0.0, 0.0, -1.0))),
+    )  # fmt: skip
+    for impossible in (lifted, ceiling):
+        with pytest.raises(
+            InputError, match=r"gravity has \+9.81 m/s² along the normal .* -9.81 for a level"
+        ):
+            studies.identify_sliding(motions, impossible, only)
+    with pytest.raises(InputError, match="give the scene of the fit"):
+        fit.apply(lifted)
+    for height in (1.0, -1.0):
+        shelf = replace_planes(scene, pinimpact.Plane(point=(0.0, 0.0, height)))
+        with pytest.raises(InputError, match=f"the third smallest is {-height:.0f} m to {-height:.0f} m"):
+            studies.identify_sliding(motions, shelf, only)
 
 
 def replace_planes(scene: Scene, plane: pinimpact.Plane) -> Scene:
@@ -257,6 +288,8 @@ def test_bad_input_is_named() -> None:
     for twice_or_none in ((), ("gravity", "gravity")):
         with pytest.raises(InputError, match=r"free: .* one or more of .*, 'gravity', each once"):
             studies.identify_sliding([still], box_scene(), twice_or_none)
+    with pytest.raises(InputError, match="motions: no recordings given, at least one expected"):
+        studies.identify_sliding([], box_scene())
     for twice_or_none in ((), ("com", "com")):
         with pytest.raises(InputError, match=r"free: .* one or more of 'com', .*, each once"):
             studies.identify_body(exact, twice_or_none)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from ..checks import above_zero
 from ..errors import InputError
@@ -53,7 +54,7 @@ def identify_sliding(
         free: "sliding_friction", and "gravity", whose direction may differ from that of the model: its
             components along t₁ and t₂ of the plane are fitted, its size is kept.
         loss: As in `identify`.
-        closed: Gap up to which a contact is taken as closed [m].
+        closed: Gap up to which a contact is taken as closed [m]; it may also be as much below the plane.
         slowest: Speed up to which the body is taken as at rest [m/s]: it slides where it moves faster along
             the plane, and does not rock where it moves slower along the normal, by rotation too.
 
@@ -61,34 +62,46 @@ def identify_sliding(
         An `Identified`, with intervals by the groups of the motions.
 
     Raises:
-        InputError: A robot that is not one free body, contacts that are not on one fixed plane, recordings in
-            which nothing slides, no free parameter, one twice, or one of an effect that is switched off.
+        InputError: A robot that is not one free body, contacts that are not on one fixed plane, gravity that
+            does not press the body onto it, no recordings or some in which nothing slides, no free parameter,
+            one twice, or one of an effect that is switched off.
         UnknownNameError: An unknown parameter or loss.
     """
     free_body(scene, "identify_sliding")
     motions = checked_motions(motions)
+    if not motions:
+        raise InputError("motions: no recordings given, at least one expected", value=motions)
     kinds = checked_kinds(free, _NAMES)
     names = [name for kind in kinds for name in _NAMES[kind]]
     closed, slowest = above_zero("closed", closed), above_zero("slowest", slowest)
     for kind, effect in (("sliding_friction", "contact friction"), ("gravity", "gravity")):
         if kind in kinds and effect in scene.without:
             raise InputError(f"free: {kind} is free, but the scene is without {effect}", value=kinds)
-    axes = _axes(scene)
-    body = Body.of(scene)
+    axes, body = _axes(scene), Body.of(scene)
+    strength, given = float(np.linalg.norm(body.gravity)), axes[:2] @ body.gravity
+    pressing = -float(axes[2] @ body.gravity)
+    if not pressing > LITTLE * strength:
+        raise InputError(
+            f"scene: gravity has {0.0 - pressing:+.6g} m/s² along the normal of the plane, so it presses no "
+            "body onto it; a negative number is expected, -9.81 for a level plane whose normal points up",
+            value=scene,
+        )
     slides = [
         slide
         for number, motion in enumerate(motions)
         for slide in _slides(scene, motion, body, axes, closed, slowest, number)
     ]
     if not slides:
+        third = np.concatenate([np.sort(gaps(scene, motion.q), axis=1)[:, 2] for motion in motions])
         raise InputError(
-            f"motions: no body slides on a face for {FRAMES + 2} frames, faster than {slowest:g} m/s",
+            f"motions: no body slides on a face for {FRAMES + 2} frames, faster than {slowest:g} m/s, with "
+            f"gaps from {-closed:g} m to {closed:g} m; the third smallest is {third.min():.3g} m to "
+            f"{third.max():.3g} m",
             value=len(motions),
         )
     rows, targets = np.array([slide.rows for slide in slides]), np.array([slide.target for slide in slides])
     known: dict[str, Any] = dict(measure="slides", rows=digests(rows, targets), slides=len(slides))
     group = group_numbers([slide.label for slide in slides], known["rows"])
-    strength, given = float(np.linalg.norm(body.gravity)), axes[:2] @ body.gravity
     sustained = altered(scene.contacts[0], scene.without).sustained_friction
     place = {name: j for j, name in enumerate(names)}
 
@@ -125,8 +138,6 @@ def _bounds(names: Sequence[str], given: Array, strength: float) -> list[tuple[f
     x, y = np.abs(given).tolist()
     fits = 0.5 * (np.sqrt(2.0 * strength**2 - (x - y) ** 2) - (x + y))
     width = float(fits / np.sqrt(2.0))
-    if "gravity:t1" in names and not width > 0.0:
-        raise InputError("scene: its gravity does not press a body onto the plane", value=given)
     around = dict(zip(_NAMES["gravity"], given.tolist(), strict=True))
     return [(around[name] - width, around[name] + width) if name in around else (0.0, 2.0) for name in names]
 
@@ -171,7 +182,8 @@ def _slides(
     velocity = np.gradient(path, t, axis=0)
     spin = (rotation[1:] * rotation[:-1].inv()).as_rotvec() / np.diff(t)[:, None] @ axes.T
     rocking = np.linalg.norm(arms, axis=1).max() * np.hypot(*np.vstack([spin, spin[-1:]]).T[:2])
-    slides = (np.sort(near, axis=1)[:, 2] < closed) & (np.hypot(*velocity.T[:2]) > slowest)
+    lowest, _, third = np.sort(near, axis=1)[:, :3].T
+    slides = (lowest > -closed) & (third < closed) & (np.hypot(*velocity.T[:2]) > slowest)
     slides &= np.maximum(np.abs(velocity[:, 2]), rocking) < slowest
     label = motion.label(number)
     found = []
@@ -214,10 +226,10 @@ def _set_gravity(scene: Scene, name: str, value: float) -> Scene:
     square = own @ own
     own[_NAMES["gravity"].index(name)] = value
     along = own[:2] @ own[:2]
-    if along > square:
+    if along > square or own[2] > 0.0:
         raise InputError(
             f"scene: gravity of {np.sqrt(along):.6g} m/s² along the plane was fitted, but that of the scene "
-            f"is {np.sqrt(square):.6g} m/s²; give the scene of the fit",
+            f"is {np.sqrt(square):.6g} m/s², {own[2]:+.6g} m/s² along the normal; give the scene of the fit",
             value=scene,
         )
     own[2] = -np.sqrt(square - along)
