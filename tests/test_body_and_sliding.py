@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import pinimpact
@@ -170,6 +171,67 @@ def test_sliding_along_slopes(tilt: float) -> None:
     assert fit.x == pytest.approx(expected, abs=1e-8)
     applied = fit.apply(scene).model.gravity.linear
     assert applied == pytest.approx(np.array(scene.model.gravity.linear), abs=1e-7)
+
+
+def block() -> Scene:
+    """Return a scene of a cube of 1 kg, 0.1 m wide, on a plane with gravity of −3 m/s² along it, on x."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "block")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.002 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
+    model.gravity.linear = np.array([-3.0, 0.0, -9.3])
+    corners = [(x, y, z) for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, 0.05)]
+    contacts = [
+        pinimpact.Contact("block", pinimpact.Plane(), offset=corner, name=f"corner {k}")
+        for k, corner in enumerate(corners)
+    ]
+    return Scene(model, contacts)
+
+
+@pytest.mark.parametrize("rate", [30, 60, 200])
+def test_slides_that_reverse_between_two_frames(rate: int) -> None:
+    """A block slides up a slope with the acceleration −3 − μ g_n, and back with −3 + μ g_n."""
+    rng, motions, mu = np.random.default_rng(0), [], 0.2
+    up, down = -3.0 - mu * 9.3, -3.0 + mu * 9.3
+    for k, speed in enumerate(rng.uniform(0.8, 1.6, 20)):
+        t = (np.arange(int(0.8 * rate)) + rng.uniform()) / rate
+        before, after = np.minimum(t, -speed / up), np.maximum(t + speed / up, 0.0)
+        q = np.tile([0, 0, 0.05, 0, 0, 0, 1.0], (len(t), 1))
+        q[:, 0] = speed * before + 0.5 * up * before**2 + 0.5 * down * after**2
+        motions.append(studies.Motion(t, q, group=k))
+    fit = studies.identify_sliding(motions, block())
+    assert fit.x == pytest.approx([mu, -3.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sideways", "spin", "slope", "allowed"),
+    [(0.2, 0.0, -3.0, 2e-3), (0.5, 0.0, -3.0, 1e-3), (1.57, 0.0, -3.0, 1e-3), (0.0, 5.0, 0.0, 1e-3),
+     (0.0, 15.0, 0.0, 1e-3), (0.0, 20.0, 0.0, 1e-3), (0.0, 40.0, 0.0, 1e-3)],
+)  # fmt: skip
+def test_slides_that_turn(sideways: float, spin: float, slope: float, allowed: float) -> None:
+    """Blocks that turn on a slope, or spin by more than a turn, by integration with equal loads."""
+    rng, motions, mu = np.random.default_rng(2), [], 0.2 if slope else 0.3
+    arms = np.array([[x, y] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
+    t = np.arange(0.0, 0.8 if slope else 0.3, 1 / 200)
+
+    def rates(_: float, y: np.ndarray) -> np.ndarray:
+        c, s = np.cos(y[2]), np.sin(y[2])
+        arm = arms @ [[c, s], [-s, c]]
+        slip = y[3:5] + y[5] * np.column_stack([-arm[:, 1], arm[:, 0]])
+        force = -mu * 9.3 / 4 * slip / np.linalg.norm(slip, axis=1)[:, None]
+        torque = (arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0]).sum()
+        return np.concatenate([y[3:], force.sum(axis=0) + np.array([slope, 0.0]), [torque / 0.002]])
+
+    for k, speed in enumerate(rng.uniform(1.0, 1.5, 12)):
+        angle = sideways * rng.choice([-1, 1]) if slope else rng.uniform(0, 2 * np.pi)
+        start = [0, 0, 0, speed * np.cos(angle), speed * np.sin(angle), spin * rng.choice([-1, 1])]
+        y = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, max_step=2e-3, rtol=1e-8, atol=1e-10).y
+        q = np.tile([0, 0, 0.05, 0, 0, 0, 1.0], (len(t), 1))
+        q[:, :2], q[:, 5], q[:, 6] = y[:2].T, np.sin(0.5 * y[2]), np.cos(0.5 * y[2])
+        motions.append(studies.Motion(t, q, group=k))
+    scene = block()
+    scene.model.gravity.linear = np.array([slope, 0.0, -9.3])
+    assert studies.identify_sliding(motions, scene).x[0] == pytest.approx(mu, rel=allowed)
 
 
 def test_gravity_that_cannot_be_fitted_raises() -> None:
