@@ -394,6 +394,23 @@ def test_derivatives_are_unbounded_towards_a_jump():
     assert at(W, v, mu, low, "newton").boundary == Boundary.JUMP
 
 
+@pytest.mark.parametrize("w", [1e-1, 1e-4, 1e-7, 1e-9, 1e-12, 1e-14])
+def test_impulse_along_a_direction_of_little_mobility(w):
+    """Slip along t₁ stays: v_t2 falls as (1 − μP₃)ʷ, and P_t2 = v_t2° ((1 − μP₃)ʷ − 1)/w."""
+    d = at(np.diag([1.0, w, 1.0]), [1.0, 0.0, -1.5], 0.2)
+    left = 1.0 - 0.2 * 2.25
+    assert d.dv_dv[1, 1] == pytest.approx(left**w, rel=1e-12)
+    if w >= 1e-7:
+        assert d.boundary == Boundary.NONE
+        assert d.dP_dv[1, 1] == pytest.approx(np.expm1(w * np.log(left)) / w, rel=1e-8)
+    else:  # the difference of v_t2 is lost in rounding
+        assert d.boundary == Boundary.RANK
+        assert np.isnan(d.dP_dv[:2]).all()
+    assert d.dP_dv[2, 2] == pytest.approx(-1.5, rel=1e-12)
+    d = at(np.diag([1.0, w, 1.0]), [1.0, 0.0, -1.5], 0.0)
+    assert d.dP_dv == pytest.approx(np.diag([0.0, 0.0, -1.5]), abs=1e-8)
+
+
 def test_rank_is_flagged():
     W = np.array([[1.0, 0.0, 0.3], [0.0, 0.0, 0.0], [0.3, 0.0, 1.0]])
     d = at(W, [1.0, 0.0, -1.0], 0.2)

@@ -27,7 +27,7 @@ class Boundary(Sentences):
     JUMP = 8, "v⁺ jumps here, or nearly has a slope without bound."
     GRAZING = 16, "v₃° = 0: there is an impact on one side only."
     BOUND = 32, "μ = 0, e = 0 or e = 1: slopes by it are those into the range."
-    RANK = 64, "W is singular: derivatives hold for changes that keep its rank."
+    RANK = 64, "W is singular, or nearly: derivatives hold for changes that keep its rank and range."
     CLOSED = 128, "Contacts or limits are closed at the start: changes that open them are projected."
     LAST_BOUNCE = 256, "Bounces ended at the resting speed: those that would follow do not count."
     FEATURES_MEET = 512, "Shapes touch where a face ends, or corner on corner: the normal turns abruptly."

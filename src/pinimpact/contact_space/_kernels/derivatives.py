@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import always_inlined, external, inlined, released
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, filled
 from ..._numeric.tolerances import TINY
 from . import codes as code
 from .batch import asymmetry, write_result
@@ -51,7 +51,7 @@ from .sensitivities import (
 )
 from .slip_equations import in_frame
 from .slip_panels import ROOM
-from .tolerances import COINCIDENT, FLAT
+from .tolerances import COINCIDENT, FLAT, THIN
 
 SLOPES = 14
 """Columns of the derivatives: v₁, v₂, v₃, W row by row, μ, e. Rows are those of v⁺ and P."""
@@ -396,6 +396,13 @@ def _differentiate(problem, view, flags, moves, values, out, rows, after3):
     if problem.v3 == 0.0:
         boundary |= JUMP
         _fill(out, 2, BY_W, math.nan)
+    trace = problem.a11 + problem.a22
+    det = problem.a11 * problem.a22 - problem.a12 * problem.a12
+    if not problem.flat and det < THIN * trace * trace:
+        boundary |= RANK
+        for row in out[3:5]:
+            filled(row, math.nan if mu > 0.0 else 0.0)
+            row[BY_MU] = math.nan
     return boundary
 
 

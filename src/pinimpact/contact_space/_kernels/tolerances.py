@@ -38,6 +38,10 @@ FLAT = HALF_DIGITS
 """Rate or velocity at an event, over its scale, below which v⁺ nearly jumps or has an unbounded slope; the
 distance to the singularity is the square of this."""
 
+THIN = HALF_DIGITS
+"""Least eigenvalue of the tangential W, over its trace, below which derivatives of P_t along that direction,
+whose error is a rounding error over this ratio, have fewer than half of their digits."""
+
 NEAR_LIMIT = 1e-4
 """Relative distance of slopes to their one-sided limit from which the limit is extrapolated; its error is
 about the square of this."""
