@@ -597,6 +597,59 @@ def test_arrays_are_borrowed_for_the_duration_of_a_call() -> None:
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 16
 
 
+@external
+def double_rows(rows, pair, out):
+    """Allocate nothing: references are not counted."""
+    parts = pair.kept[1:] if pair.factor > 0.0 else pair.kept
+    for row in rows:
+        first = row[0]
+        for k in range(len(row)):
+            row[k] *= pair.factor
+        out[0] += first + parts[0]
+
+
+@external
+def part_of(rows, k):
+    return rows[k][1:]
+
+
+@external
+def pair_of(rows, k):
+    return Pair(rows[k], 2.0)
+
+
+@external
+def selected(out, order):
+    return out[order].sum()
+
+
+@jit
+def views_and_selections(n):
+    rows, out, order = np.full((n, 3), 2.0), np.zeros(n), np.arange(n)[::-1].copy()
+    double_rows(rows, Pair(np.ones(2), 3.0), out)
+    part, pair = part_of(rows, n - 1), pair_of(rows, 0)
+    return out, part, pair, selected(out, order)
+
+
+def test_references_are_counted_only_by_kernels_that_allocate_or_return_arrays() -> None:
+    kept = [views_and_selections(4) for _ in range(50)]
+    rubbish = [np.full(12, -1.0) for _ in range(200)]
+    assert len(rubbish) == 200
+    for out, part, pair, total in kept:
+        np.testing.assert_array_equal(out, [4 * 3.0, 0.0, 0.0, 0.0])
+        np.testing.assert_array_equal(part, [6.0, 6.0])
+        np.testing.assert_array_equal(pair.kept, [6.0, 6.0, 6.0])
+        assert total == 12.0
+    del kept, out, part, pair
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    for n in range(2, 9):
+        views_and_selections(n)
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free > 0
+
+
 def test_message_while_compiling_appears_in_the_first_run(compiled: Path, first_run: FirstRun) -> None:
     package = compiled
     assert first_run.done.stderr == ""  # compilation is too short for a message

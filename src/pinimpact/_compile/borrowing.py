@@ -1,8 +1,8 @@
-"""Arrays whose references are not counted, for kernels that access them often.
+"""Arrays whose references are not counted, for kernels that allocate arrays and read others often.
 
 numba counts references to an array at each slice and each copy of a tuple that holds it, by atomic
 operations of about 5 ns. A kernel that borrows its arguments at its start avoids this: the caller owns them
-for the duration of the call.
+for the duration of the call. (Kernels that allocate nothing are compiled without counts, see `linking`.)
 """
 
 from __future__ import annotations

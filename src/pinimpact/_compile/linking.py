@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding as llvm
+from numba.core import ir
 
 from .numba_internals import (
     CompilerBase,
@@ -266,6 +267,33 @@ def _needed(library: Any) -> list[Any]:
     return list(found)
 
 
+_VIEWS = {"getitem", "static_getitem", "getattr", "build_tuple", "exhaust_iter", "cast"}
+_VIEWS |= {"getiter", "iternext", "pair_first"}
+"""Operations whose results contain no arrays but those of their operands, unless they select single items."""
+
+
+def _owns_arrays(state: Any) -> bool:
+    """Return whether a kernel allocates or returns arrays; otherwise references need not be counted.
+
+    Its callers own all arrays that it uses.
+    """
+    models = state.targetctx.data_model_manager
+
+    def counted(kind: Any) -> bool:
+        return bool(models[kind].contains_nrt_meminfo())
+
+    if counted(state.return_type):
+        return True
+    for block in state.func_ir.blocks.values():
+        for step in block.find_insts(ir.Assign):
+            value = step.value
+            if isinstance(value, ir.Expr) and counted(state.typemap[step.target.name]):
+                selects = value.op == "getitem" and counted(state.typemap[value.index.name])
+                if value.op not in _VIEWS or selects:
+                    return True
+    return False
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
 class KernelLowering(NativeLowering):
     """Lowering with the library classes of kernels."""
@@ -275,6 +303,7 @@ class KernelLowering(NativeLowering):
     def run_pass(self, state: Any) -> bool:
         """Lower a kernel and register it for its callers."""
         state.flags.no_compile = True  # numba leaves the entry point to this pass
+        state.targetctx.enable_nrt = _owns_arrays(state)
         super().run_pass(state)
         lowered, library = state["cr"], state.library
         lowered.fndesc.typemap = lowered.fndesc.calltypes = None  # frees half a million unused objects

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from .._compile.borrowing import borrowed
 from .._compile.declared import FLOAT_STACK, FLOATS, declared
 from .._compile.jit import external, inlined
 from .augmented_newton import (
@@ -48,7 +47,7 @@ def fill_compliances(problem, part, diagonal, given):
     The largest r of a contact is `part` times the largest diagonal entry of W of contacts; without contacts r
     is in proportion to the diagonal. The diagonal of rows that no impulse moves is replaced by the largest.
     """
-    _, inverse, _, values, columns, counts, _, _, compliance = borrowed(problem)
+    _, inverse, _, values, columns, counts, _, _, compliance = problem
     nc, n, softest, largest = len(compliance), len(given), 0.0, 0.0
     for a in range(n):
         diagonal[a] = 0.0

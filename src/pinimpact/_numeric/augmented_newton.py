@@ -23,7 +23,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.borrowing import borrowed
 from .._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
 from .._compile.interrupts import answer_signals
 from .._compile.jit import always_inlined, external, inlined
@@ -123,8 +122,7 @@ def length(x, y):
 @external
 def impulses(law, u, before, r, out):
     """Fill out (n,) with f⁺ = P(f − u/r) of (16.3), f = `before` (n,)."""
-    mu, slip, least, most, held, lower, upper = borrowed(law)
-    u, before, r, out = borrowed(u), borrowed(before), borrowed(r), borrowed(out)
+    mu, slip, least, most, held, lower, upper = law
     nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
@@ -178,7 +176,7 @@ def fill_derivative(law, i, z1, z2, z3, coupled, d):
 
 
 @external
-def fill_system(problem, profile, r, u, before, coupled, system):
+def fill_system(problem, profile, r, u, before, coupled, d, system):
     """Fill system (m, m) with the matrix of Newton's method, M + (1/r) Jᵀ ∂P J.
 
     Args:
@@ -188,13 +186,12 @@ def fill_system(problem, profile, r, u, before, coupled, system):
         u: (n,) velocities.
         before: (n,) f.
         coupled: Whether ∂ρ/∂z_n is included; without it the matrix is symmetric and positive definite.
+        d: (3, 3) scratch.
         system: (m, m) is overwritten.
     """
-    mass, _, start, values, columns, counts, _, law, _ = borrowed(problem)
-    (first, last), system = borrowed(profile), borrowed(system)
-    r, u, before = borrowed(r), borrowed(u), borrowed(before)
+    mass, _, start, values, columns, counts, _, law, _ = problem
+    first, last = profile
     m, nc, lower, upper = len(mass), len(law.friction), law.lower, law.upper
-    d = np.empty((3, 3))
     for a in range(m):
         for b in range(first[a], last[a] + 1):
             system[a, b] = 0.0
@@ -228,9 +225,8 @@ def evaluate(problem, r, before, now):
 
     Momenta are scaled by 1/√M_aa. Other arguments are those of `fill_system`.
     """
-    mass, _, start, values, columns, counts, free, law, _ = borrowed(problem)
-    w, u, f, momentum, out, scale = borrowed(now)
-    r, before = borrowed(r), borrowed(before)
+    mass, _, start, values, columns, counts, free, law, _ = problem
+    w, u, f, momentum, out, scale = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     add(u, 1.0, free)
@@ -313,7 +309,7 @@ def solve_compliances(problem, profile, r, before, least, now, system, factored)
     """
     w, momentum, residual = now.w, now.momentum, now.residual
     m, previous_error, reuse = len(w), math.inf, factored
-    d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
+    d, md, du, slopes = np.empty(m), np.empty(m), np.empty(len(r)), np.empty((3, 3))
     for step in range(STEPS + 1):
         answer_signals()
         error = evaluate(problem, r, before, now)
@@ -329,7 +325,7 @@ def solve_compliances(problem, profile, r, before, least, now, system, factored)
                 substitute_profile(system, profile[1], d)
                 share = 1.0
                 break
-            fill_system(problem, profile, r, now.u, before, attempt == 0, system)
+            fill_system(problem, profile, r, now.u, before, attempt == 0, slopes, system)
             factored = eliminate_profile(system, profile[1], d)
             if not factored:
                 continue
@@ -366,7 +362,7 @@ def continue_to(problem, profile, r, part, now, system):
         if law.lower[i] < -u[j] / r[j] < law.upper[i]:
             change[j] = growth * u[j] / r[j]
     add_transposed(problem.values, problem.columns, problem.counts, change, step)
-    fill_system(problem, profile, r, u, none, True, system)
+    fill_system(problem, profile, r, u, none, True, d, system)
     factored = eliminate_profile(system, profile[1], step)
     if factored:
         add(w, 1.0, step)

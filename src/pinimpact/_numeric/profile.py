@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from .._compile.borrowing import borrowed
 from .._compile.jit import external, inlined
 
 
@@ -23,7 +22,6 @@ def eliminate_profile(system, last, x):
 
     Row and column a are zero after last[a]. There is no pivoting, so the matrix should be nearly definite.
     """
-    system, last, x = borrowed(system), borrowed(last), borrowed(x)
     m = len(x)
     for k in range(m):
         pivot = system[k]

@@ -213,7 +213,6 @@ def robot_impact(work, q, v, e, out):
 @inlined
 def _keep(row, status, flags, out, after, impulses, codes, numbers):
     """Write a row of a batch."""
-    out, numbers = borrowed(out), borrowed(numbers)
     n = after.shape[1]
     codes[row, 0] = status
     if status > LOCKED:

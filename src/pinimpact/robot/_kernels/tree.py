@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from ..._compile.jit import external, jit
 from ..._numeric.products import add
@@ -99,7 +98,7 @@ def _without_inertia(mass, parents, lower):
 @jit
 def solve_transposed(lower, parents, rows):
     """Solve Lᵀ y = x in place for each row x (nv,) of `rows` (m, nv)."""
-    for row in borrowed(rows):
+    for row in rows:
         for i in range(len(row) - 1, -1, -1):
             if row[i] != 0.0:
                 x = row[i] / lower[i, i]
@@ -114,7 +113,7 @@ def solve_transposed(lower, parents, rows):
 @jit
 def solve(lower, parents, rows):
     """Solve L y = x in place for each row x (nv,) of `rows` (m, nv)."""
-    for row in borrowed(rows):
+    for row in rows:
         for i in range(len(row)):
             x = row[i]
             j = parents[i]
@@ -128,7 +127,6 @@ def solve(lower, parents, rows):
 @jit
 def solve_mass(lower, parents, columns):
     """Solve M y = x in place for each column x (nv,) of `columns` (nv, m)."""
-    columns = borrowed(columns)
     n, m = columns.shape
     for i in range(n - 1, -1, -1):
         inverse = 1.0 / lower[i, i]

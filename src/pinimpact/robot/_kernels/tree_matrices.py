@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.tolerances import HALF_DIGITS
@@ -140,7 +139,6 @@ def tree_matrices(work, q, bodies, columns, mass):
         columns: (6, nv) is overwritten with the joint Jacobian at the reference point.
         mass: (nv, nv); the entries of each velocity and its ancestors are overwritten with those of M.
     """
-    bodies, columns, mass = borrowed(bodies), borrowed(columns), borrowed(mass)
     n = work.bodies
     bodies[0, :] = 0.0
     bodies[0, 0] = bodies[0, 4] = bodies[0, 8] = 1.0
