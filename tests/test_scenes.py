@@ -158,6 +158,16 @@ def test_max_impacts_error_keeps_partial_trajectory():
     assert len(caught.value.partial.impacts) == 20
 
 
+def test_scene_without_sustained_contact_has_no_time_steps():
+    scene = dropped_ball(without=["sustained contact"])
+    with pytest.raises(
+        pinimpact.InputError, match='"time-stepping" given for a scene without "sustained contact"'
+    ):
+        simulate(scene, *START, 1.0, scheme="time-stepping")
+    with pytest.raises(pinimpact.SimulationError, match="max_impacts"):
+        simulate(scene, *START, 5.0, max_impacts=20, scheme="auto")
+
+
 def test_max_impacts_counts_simultaneous_impacts_once():
     corners = [(0.1 * x, 0.1 * y, -0.05) for x in (-1, 1) for y in (-1, 1)]
     contacts = [Contact(f"tip{k}", FLOOR, friction=0.3, restitution=0.9) for k in range(4)]

@@ -398,6 +398,33 @@ def test_terminal_event_ends_step_and_next_step_continues():
     assert stepper.q[2] == pytest.approx(1.0 - 0.5 * G * (fall + 0.1) ** 2, rel=1e-9)
 
 
+def test_step_that_a_terminal_event_ends_has_no_linearization():
+    scene = Scene(slider(), events=[Event(lambda t, q, v: q[2] - 0.5, terminal=True, name="half")])
+    stepper = Stepper(scene, [0, 0, 1.0], np.zeros(3))
+    with pytest.raises(InputError, match=r"the event 'half' ends the step at t = 0\.319"):
+        stepper.linearize(np.zeros(3), 1.0)
+    assert stepper.t == 0.0
+    assert stepper.linearize(np.zeros(3), 0.1).A[:3, 3:] == pytest.approx(0.1 * np.eye(3), abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "auto", "time-stepping"])
+def test_motion_is_that_of_the_model_at_its_start(scheme):
+    """Later changes of the model, here of mass and gravity, affect the next motion only."""
+    model = slider()
+    scene, start = Scene(model, Contact("point", FLOOR, name="floor")), ([0, 0, 0.0], np.zeros(3))
+    stepper = Stepper(scene, [0, 0, 1.0], np.zeros(3), scheme=scheme)
+    stepper.step(np.zeros(3), 0.1)
+    trajectory, mass = simulate(scene, *start, 0.2, scheme=scheme), model.inertias[3].mass
+    model.inertias[3] = pin.Inertia(5.0 * mass, np.zeros(3), np.zeros((3, 3)))
+    model.gravity.linear[2] = -2.0
+    assert trajectory.forces("floor", 0.1)[2] == pytest.approx(mass * G, rel=1e-9)
+    assert pickle.loads(pickle.dumps(trajectory)).forces("floor", 0.1)[2] == pytest.approx(mass * G, rel=1e-9)
+    stepper.step(np.zeros(3), 0.1)
+    assert stepper.v[2] == pytest.approx(-0.2 * G, rel=1e-9)
+    later = simulate(scene, *start, 0.2, scheme=scheme)
+    assert later.forces("floor", 0.1)[2] == pytest.approx(5.0 * mass * 2.0, rel=1e-9)
+
+
 @pytest.mark.parametrize("dt", [0.0, -1e-3, np.nan, np.inf, "1", None, 1e-30])
 def test_invalid_step_duration_raises(dt):
     stepper = Stepper(block(), np.zeros(3), np.zeros(3))

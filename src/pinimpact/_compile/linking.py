@@ -16,12 +16,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding as llvm
-from numba.core import ir
 
 from .numba_internals import (
+    Assign,
     CompilerBase,
     DefaultPassBuilder,
     Environment,
+    Expr,
     Flags,
     JITCodeLibrary,
     NativeLowering,
@@ -285,9 +286,9 @@ def _owns_arrays(state: Any) -> bool:
     if counted(state.return_type):
         return True
     for block in state.func_ir.blocks.values():
-        for step in block.find_insts(ir.Assign):
+        for step in block.find_insts(Assign):
             value = step.value
-            if isinstance(value, ir.Expr) and counted(state.typemap[step.target.name]):
+            if isinstance(value, Expr) and counted(state.typemap[step.target.name]):
                 selects = value.op == "getitem" and counted(state.typemap[value.index.name])
                 if value.op not in _VIEWS or selects:
                     return True

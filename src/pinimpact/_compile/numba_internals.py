@@ -23,6 +23,7 @@ try:
     from numba.core.compiler import compile_result  # record of a compiled kernel in its dispatcher
     from numba.core.compiler_lock import global_compiler_lock  # held during compilation
     from numba.core.compiler_machinery import register_pass  # numba requires passes to be registered
+    from numba.core.ir import Assign, Expr  # operations of a kernel: whether any yields a new array
     from numba.core.funcdesc import PythonFunctionDescriptor  # symbol of a kernel compiled elsewhere
     from numba.core.runtime import rtsys  # array memory, initialized before kernels are loaded
     from numba.core.typed_passes import NativeLowering  # base class of `linking.KernelLowering`

@@ -75,6 +75,7 @@ class Integrator:
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"scene: {type(scene).__name__} given; a Scene is expected", value=scene)
+        scene = scene.fixed()
         self._arguments = scene, q0, v0, options
         self.scene, self.options, without = scene, options.checked(), scene.without
         model = self.model = altered_model(scene.model, without)

@@ -37,6 +37,9 @@ from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
 from .layout import SceneLayout
 
+CACHED = "_layout", "_fixed"
+"""Attributes that are computed from the others when needed."""
+
 STANDARD_GRAVITY = 9.80665
 
 
@@ -222,7 +225,7 @@ class Scene:
 
     def __getstate__(self) -> dict[str, Any]:
         """Omit cached data, and collision shapes of no contact, since meshes are large."""
-        state = {name: value for name, value in vars(self).items() if name != "_layout"}
+        state = {name: value for name, value in vars(self).items() if name not in CACHED}
         pairs = [contact.pair for contact in (*self.contacts, *self.held) if contact.pair is not None]
         named = {pair.geometry for pair in pairs} | {
             pair.plane.geometry for pair in pairs if isinstance(pair.plane, Shape)
@@ -262,6 +265,21 @@ class Scene:
             self, ("model", "contacts", "held", "control", "period", "events", "geometry"), width=40
         )
         return f"Scene({', '.join([*parts, *given])})"
+
+    def fixed(self) -> Scene:
+        """Return this scene with a copy of its model, so that later changes of the model do not affect it.
+
+        It is made once, and again after the model has changed.
+        """
+        if "_is_fixed" in vars(self):
+            return self
+        known: Scene | None = vars(self).get("_fixed")
+        if known is None or known.model != self.model:
+            known = object.__new__(Scene)
+            vars(known).update({name: value for name, value in vars(self).items() if name not in CACHED})
+            vars(known).update(model=self.model.copy(), _is_fixed=True)
+            object.__setattr__(self, "_fixed", known)
+        return known
 
     def layout(self) -> SceneLayout:
         """Return the layout of the scene, computed again if the model has changed."""

@@ -89,6 +89,7 @@ def simulate(
     integrator.record.keeps_steps = bool(names)
     trajectory = _run(integrator, float(duration), progress)
     if names:
+        scene = integrator.scene
         own = Integrator(scene, q0, v0, options)
         parameters = [name for name in names if name != "state"]
         slopes = MotionSlopes(scene, own.dynamics, own.model, parameters, None, rtol)
@@ -103,6 +104,14 @@ def simulate(
 def integrator_of(scheme: str, scene: Scene, q0: ArrayLike, v0: ArrayLike, options: Options) -> Integrator:
     """Return the integrator of a scheme; arguments and errors as of `simulate`."""
     choice("scheme", scheme, SCHEMES, "a scheme")
+    if isinstance(scene, Scene) and "sustained contact" in scene.without:
+        if scheme == "time-stepping":
+            raise InputError(
+                'scheme: "time-stepping" given for a scene without "sustained contact", which time steps '
+                'compute; use "event-driven"',
+                value=scheme,
+            )
+        scheme = "event-driven"
     if scheme == "event-driven":
         if options.dt != DT:
             raise InputError(

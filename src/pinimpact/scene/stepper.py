@@ -164,7 +164,8 @@ class Stepper:
         order h² of their length only, sensitivities of `simulate` to rounding. (derivatives.md, 12)
 
         Raises:
-            InputError: As in `step`; what has no known derivative, see derivatives.md, 9 and 12.
+            InputError: As in `step`; a terminal event in the step; what has no known derivative, see
+                derivatives.md, 9 and 12.
             SimulationError: As in `step`.
         """
         slopes, integrator, before = self._slopes(), self._integrator, (self._begun, self._failed)
@@ -174,6 +175,13 @@ class Stepper:
             with _restored(integrator):
                 record.keeps_steps = True
                 self.step(tau, dt)
+                if integrator.state.ended_by is not None:
+                    name = integrator.state.ended_by
+                    raise InputError(
+                        f"dt: the event {name!r} ends the step at t = {self.t:.6g} s; steps that end earlier "
+                        "than asked have no derivatives",
+                        value=dt,
+                    )
                 slopes.saltation.slopes.tau[:] = tau
                 taken = record.dense_steps[steps:], record.impacts[impacts:], record.events[events:]
                 found = Sensitivities(slopes, ("state",), *taken)
@@ -189,8 +197,8 @@ class Stepper:
         integrator = self._integrator
         found = _SLOPES.get(integrator)
         if found is None:
-            check_supported(self._scene)
-            given = self._scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv)
+            check_supported(integrator.scene)
+            given = integrator.scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv)
             found = _SLOPES[integrator] = MotionSlopes(*given, self._options.rtol)
         return found
 
