@@ -453,6 +453,28 @@ def test_shapes_a_kilometre_apart_do_not_collide():
     assert [impact.source for impact in trajectory.impacts] == ["bouncing on plane"]
 
 
+@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+def test_push_of_a_held_body_is_an_impact_at_its_hinge(dt):
+    """A velocity K at the centre of mass, at a distance of 1 m from the hinge, becomes a rotation."""
+    inertia, hinge = pin.Inertia.FromSphere(1.0, 0.1), Contact("tip0", Plane(), name="hinge")
+
+    def push(t, q, v):
+        v[0] += 10.0
+        return v
+
+    events = [Event(lambda t, q, v: t - 0.1, callback=push, name="push")]
+    scene = Scene(free_body(inertia, [(0.0, 0.0, 1.0)]), held=[hinge], events=events, without=["gravity"])
+    start = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]
+    trajectory = simulate(scene, start, np.zeros(6), 0.3, scheme="time-stepping", dt=dt)
+    rate = 10.0 / (1.0 + 0.4 * 0.01)
+    after = trajectory.at(0.1 + 1e-9)[1]
+    assert after[[0, 4]] == pytest.approx([rate, -rate], rel=1e-6)
+    assert trajectory.energy.impacts[-1] == pytest.approx(5.0 * rate, rel=1e-9)
+    for q in trajectory.q:
+        hinge_at = q[:3] + pin.Quaternion(q[3:]).matrix() @ [0.0, 0.0, 1.0]
+        assert np.abs(hinge_at).max() < 40.0 * dt**2
+
+
 def test_rod_with_held_end_rebounds():
     inertia = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.eye(3) / 12.0)
     hinge = Contact("tip0", Plane((0.0, 0.0, 0.5)))

@@ -17,6 +17,7 @@ from .._numeric.augmented_lagrangian import ITERATIONS
 from .._numeric.tolerances import HALF_DIGITS
 from ..arrays import Array, Integers
 from ..errors import IrregularMotionError
+from ..robot.placed_robot import PlacedRobot
 from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.lie_charts import velocity_within
 from ._kernels.midpoint_step import midpoint_step, near_rows
@@ -28,6 +29,7 @@ from ._kernels.tolerances import STEPS_LONGER, STEPS_SHORTEST, STEPS_SLACK, STEP
 from ._kernels.workspace import DENSE_TERMS
 from .crowds import CROWDED, MOST_IMPACTS, UNLOCATED
 from .dense_step import WORKS, DenseStep
+from .event_watch import Interruption
 from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
@@ -124,6 +126,18 @@ class TimeStepping(Integrator):
     def _settle_and_begin(self, arriving: Any = None) -> None:
         TimeStepping._settle_contacts(self)
         self._trigger_events()
+
+    def _restart_after(self, interruption: Interruption) -> None:
+        """Apply the velocity of a user event, with the impulses of held contacts that it violates."""
+        Integrator._restart_after(self, interruption)
+        state = self.state
+        if interruption.velocity is None or not len(self._held):
+            return
+        motion = self.dynamics.free_motion_at(state.t, state.q, state.v, self._held.tolist())
+        rows = motion.jacobian.reshape(-1, len(state.v))
+        response = np.linalg.solve(PlacedRobot(self.model, self.data, state.q).mass_matrix(), rows.T)
+        impulse = np.linalg.lstsq(rows @ response, -motion.velocity.ravel(), rcond=HALF_DIGITS)[0]
+        self.instant.change_velocity(state.v + response @ impulse)
 
     def _step(self, h: float, stop: float, scale: float, begun: Outcome | None = None) -> float:
         """Take one step, with the impacts in it; return the size of the next [s]."""
