@@ -161,6 +161,14 @@ def test_non_finite_mass_raises():
         pinimpact.impact(model, model.createData(), Q, V, TIP)
 
 
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
+def test_invalid_rotor_inertia_raises(value):
+    model = pendulum()
+    model.armature = np.array([value])
+    with pytest.raises(pinimpact.ModelError, match=rf"model\.armature\[0\]: {value} given, .* 'hinge'"):
+        pinimpact.impact(model, model.createData(), Q, V, TIP)
+
+
 @pytest.mark.parametrize("count", range(2, 7))
 def test_physically_impossible_inertia_warns(count):
     points = np.random.default_rng(count).normal(size=(count, 3))  # on a line, in a plane, in space
