@@ -550,12 +550,16 @@ def test_quadruped_lands_and_trots(period):
     assert {"stick", "slip"} <= {mode for _, mode in modes(run)}
 
 
-def test_control_derivative_of_wrong_shape_raises():
+def test_invalid_control_derivative_raises():
     model, q, v, _ = panda(5)
     control = with_jacobian(60.0, 5.0, q)
     control.jacobian = lambda t, q, v: np.zeros((9, 9))
     run = simulate(Scene(model, control=control, **FREE), q, v, 0.1, sensitivities="state")
     with pytest.raises(pinimpact.InputError, match=r"jacobian.*\(9, 18\)"):
+        run.sensitivity(0.1)
+    control.jacobian = lambda t, q, v: v["tip"]
+    run = simulate(Scene(model, control=control, **FREE), q, v, 0.1, sensitivities="state")
+    with pytest.raises(pinimpact.InputError, match=r"jacobian: IndexError at t = "):
         run.sensitivity(0.1)
 
 
@@ -890,6 +894,8 @@ def test_unsupported_derivatives_raise():
     refuses("callback of 'kick'.*jacobian=", replace(scene, events=[kick]))
     few = replace(kick, jacobian=lambda t, q, v: np.eye(9))
     refuses("jacobian: .*shape", replace(scene, events=[few]))
+    failing = replace(kick, jacobian=lambda t, q, v: v["tip"])
+    refuses(r"jacobian: IndexError at t = 0\.05 s: ", replace(scene, events=[failing]))
     refuses("expected", names=["mass"])
     refuses("sensitivities: True given, a name or a sequence", names=True)
     refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)
