@@ -563,6 +563,16 @@ def test_invalid_control_derivative_raises():
         run.sensitivity(0.1)
 
 
+def test_callback_that_is_switched_off_needs_no_derivative():
+    model, q, v, _ = panda(5)
+    kick = Event(lambda t, q, v: t - 0.005, lambda t, q, v: 2.0 * v, name="kick")
+    scene = Scene(model, events=[kick], without=["user events", "joint limits"])
+    run = simulate(scene, q, v, 0.01, sensitivities="state")
+    expected = pinimpact.Stepper(replace(scene, events=[]), q, v).linearize(np.zeros(9), 0.01).A
+    assert np.array_equal(pinimpact.Stepper(scene, q, v).linearize(np.zeros(9), 0.01).A, expected)
+    np.testing.assert_allclose(run.sensitivity(0.01).state, expected, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_dry_friction_in_joints(seed):
     model, q, v, contact = panda(seed)
