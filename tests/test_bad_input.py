@@ -127,6 +127,10 @@ def test_values_that_are_not_numbers_raise(field, value):
         ({"rtol": 0.0}, "rtol"),
         ({"max_impacts": 1.5}, "max_impacts"),
         ({"scheme": "event-driven", "dt": 1e-2}, "dt"),
+        ({"scheme": "time-stepping", "rtol": "a"}, "rtol"),
+        ({"scheme": "time-stepping", "atol": -1.0}, "atol"),
+        ({"scheme": "time-stepping", "max_step": np.nan}, "max_step"),
+        ({"scheme": "time-stepping", "max_step": 0.0}, "max_step"),
     ],
 )
 def test_numbers_out_of_range_raise(options, field):
