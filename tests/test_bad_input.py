@@ -127,6 +127,10 @@ def test_values_that_are_not_numbers_raise(field, value):
         ({"rtol": 0.0}, "rtol"),
         ({"max_impacts": 1.5}, "max_impacts"),
         ({"scheme": "event-driven", "dt": 1e-2}, "dt"),
+        ({"scheme": "time-stepping", "rtol": "a"}, "rtol"),
+        ({"scheme": "time-stepping", "atol": -1.0}, "atol"),
+        ({"scheme": "time-stepping", "max_step": np.nan}, "max_step"),
+        ({"scheme": "time-stepping", "max_step": 0.0}, "max_step"),
     ],
 )
 def test_numbers_out_of_range_raise(options, field):
@@ -158,6 +162,14 @@ def test_non_finite_mass_raises():
     model = pendulum()
     model.inertias[1] = pin.Inertia(np.nan, np.zeros(3), np.eye(3))
     with pytest.raises(pinimpact.ModelError, match=r"'hinge'.*not finite"):
+        pinimpact.impact(model, model.createData(), Q, V, TIP)
+
+
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
+def test_invalid_rotor_inertia_raises(value):
+    model = pendulum()
+    model.armature = np.array([value])
+    with pytest.raises(pinimpact.ModelError, match=rf"model\.armature\[0\]: {value} given, .* 'hinge'"):
         pinimpact.impact(model, model.createData(), Q, V, TIP)
 
 
@@ -384,6 +396,12 @@ OF_ANOTHER_KIND = {
     "path: none": ("path", lambda: RUN.save(None)),
     "progress: a number": ("progress", lambda: simulate(SCENE, Q, V, 0.1, progress=3)),
     "dt: text, unused": ("dt", lambda: simulate(SCENE, Q, V, 0.1, scheme="event-driven", dt="1 ms")),
+    "dt: a list": ("dt", lambda: step(V, [0.1])),
+    "dt: an array": ("dt", lambda: step(V, np.array([0.1]))),
+    "dt: of a derivative": ("dt", lambda: pinimpact.Stepper(SCENE, Q, V).linearize(V, [0.1])),
+    "duration: a list": ("duration", lambda: simulate(SCENE, Q, V, [1])),
+    "rtol: a list": ("rtol", lambda: simulate(SCENE, Q, V, 0.1, rtol=[1e-6])),
+    "max_step: a list": ("max_step", lambda: simulate(SCENE, Q, V, 0.1, max_step=[0.1])),
     "dt: negative, unused": ("dt", lambda: simulate(SCENE, Q, V, 0.1, scheme="event-driven", dt=-1.0)),
     "atol: infinite": ("atol", lambda: simulate(SCENE, Q, V, 0.1, atol=np.inf)),
     "event: an array": ("events", lambda: pinimpact.Event(guard, direction=np.array([1, -1]))),

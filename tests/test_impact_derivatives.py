@@ -401,10 +401,16 @@ MODEL, DATA = load("panda")
 HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
 
 
+class Failing(Decaying):
+    def slope(self, speed):
+        return 1 / 0
+
+
 @pytest.mark.parametrize(
     ("contact", "words"),
     [
         (replace(HERE, restitution=lambda speed: 0.5), "attribute `slope`"),
+        (replace(HERE, restitution=Failing()), r"restitution\.slope: ZeroDivisionError at an approach of"),
         (replace(HERE, rim=0.1), "lies flat"),
         (pinimpact.Contact(geometry="panda_hand_0", plane=Plane()), "RobotWrapper"),
     ],

@@ -286,6 +286,10 @@ def test_restitution_may_depend_on_the_approach_speed(rng):
     assert asked == pytest.approx([speed, speed, speed, 2 * speed])
     with pytest.raises(pinimpact.InputError, match="not between 0 and 1"):
         pinimpact.impact(model, data, q, v, pinimpact.Contact("tool0", plane, restitution=lambda speed: 2.0))
+    failing = pinimpact.Contact("tool0", plane, restitution=lambda speed: 1 / 0)
+    for contact in (failing, [failing]):
+        with pytest.raises(pinimpact.InputError, match=r"^restitution: ZeroDivisionError at an approach of"):
+            pinimpact.impact(model, data, q, v, contact)
 
 
 def test_every_way_through_gives_the_same_answer(rng):

@@ -140,7 +140,7 @@ def test_invalid_file_is_named(tmp_path, text):
         (
             'mass value="1"',
             'mass value="${m}"',
-            r"value='\$\{m\}' given for the mass of link 'arm', a number",
+            r"value='\$\{m\}' given for the mass of link 'arm', a finite number",
         ),
         ('ixy="0"', 'ixy=""', "ixy='' given for the inertia of link 'arm'"),
     ],
@@ -236,6 +236,38 @@ def test_negative_mass_is_named(urdf):
     model.appendBodyToJoint(1, pin.Inertia(-2.5, np.zeros(3), np.eye(3)), pin.SE3.Identity())
     with pytest.raises(pinimpact.ModelError, match=r"the negative mass -2\.5 kg of joint 'lift'"):
         pinimpact.impact(model, model.createData(), [0.0], [-1.0], pinimpact.Contact(1, pinimpact.Plane()))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('value="1"', 'value=" 2 "', r"value=' 2 ' given for the mass .*, without spaces after it, expected"),
+        ('value="1"', 'value="1,5"', "value='1,5' given for the mass of link 'arm', a finite number"),
+        ('value="1"', 'value="nan"', "value='nan'"),
+        ('value="1"', 'value="1e400"', "value='1e400'"),
+        ('value="1"', "", "no value given for the mass"),
+        ('<mass value="1"/>', "", "no value given for the mass"),
+        ('ixx="1"', 'ixx="inf"', "ixx='inf' given for the inertia"),
+        ('izz="1"', "", "no izz given for the inertia"),
+        ('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>', "", "no ixx given for the inertia"),
+        ("<mass", '<origin xyz="0 0"/><mass', "xyz='0 0' given for the origin .* three finite numbers"),
+        ("<mass", '<origin xyz="0 0 a"/><mass', "xyz='0 0 a'"),
+        ("<mass", '<origin xyz="0 0 nan"/><mass', "xyz='0 0 nan'"),
+        ("<mass", '<origin xyz="0\t0 1"/><mass', r"xyz='0\\t0 1'"),
+        ("<mass", '<origin rpy="0 0"/><mass', "rpy='0 0'"),
+    ],
+)
+def test_inertials_that_urdfdom_drops_are_named(urdf, old, new, message):
+    with pytest.raises(pinimpact.ModelError, match=message):
+        pinimpact.load_robot(urdf(inertial=INERTIAL.replace(old, new)))
+
+
+@pytest.mark.parametrize("mass", [" 2", "+2.", ".2e1"])
+def test_inertials_that_urdfdom_reads(urdf, mass):
+    given = f'<origin xyz=" 0  0 1 "/><mass unit="kg" value="{mass}"'
+    robot = pinimpact.load_robot(urdf(inertial=INERTIAL.replace('<mass value="1"', given)))
+    assert robot.model.inertias[1].mass == 2.0
+    assert robot.model.inertias[1].lever.tolist() == [0.0, 0.0, 1.0]
 
 
 BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'

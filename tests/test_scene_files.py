@@ -400,6 +400,12 @@ def test_file_without_robots_raises(tmp_path: Path) -> None:
         scene_of(tmp_path, "duration = 1.0\nrobot = []\n")
 
 
+def test_file_with_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(BALL, encoding="utf-8-sig")
+    assert load_scene(path).file.duration == 1.5
+
+
 def test_missing_file_raises(tmp_path: Path) -> None:
     with pytest.raises(pinimpact.InputError, match=r"nothing\.toml"):
         load_scene(tmp_path / "nothing.toml")

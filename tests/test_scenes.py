@@ -114,6 +114,8 @@ def test_start_beyond_joint_limit_raises():
         ("damping", np.nan, r"model\.damping\[0\]: nan given"),
         ("friction", -0.5, r"model\.friction\[0\]: -0.5 given, .* ≥ 0 .* 'hinge'"),
         ("friction", np.inf, r"model\.friction\[0\]: inf given"),
+        ("armature", -0.5, r"model\.armature\[0\]: -0.5 given, .* ≥ 0 .* 'hinge'"),
+        ("armature", np.nan, r"model\.armature\[0\]: nan given"),
         ("upperPositionLimit", np.nan, r"model\.upperPositionLimit\[0\]: nan given, a bound"),
     ],
 )

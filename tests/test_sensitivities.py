@@ -550,13 +550,27 @@ def test_quadruped_lands_and_trots(period):
     assert {"stick", "slip"} <= {mode for _, mode in modes(run)}
 
 
-def test_control_derivative_of_wrong_shape_raises():
+def test_invalid_control_derivative_raises():
     model, q, v, _ = panda(5)
     control = with_jacobian(60.0, 5.0, q)
     control.jacobian = lambda t, q, v: np.zeros((9, 9))
     run = simulate(Scene(model, control=control, **FREE), q, v, 0.1, sensitivities="state")
     with pytest.raises(pinimpact.InputError, match=r"jacobian.*\(9, 18\)"):
         run.sensitivity(0.1)
+    control.jacobian = lambda t, q, v: v["tip"]
+    run = simulate(Scene(model, control=control, **FREE), q, v, 0.1, sensitivities="state")
+    with pytest.raises(pinimpact.InputError, match=r"jacobian: IndexError at t = "):
+        run.sensitivity(0.1)
+
+
+def test_callback_that_is_switched_off_needs_no_derivative():
+    model, q, v, _ = panda(5)
+    kick = Event(lambda t, q, v: t - 0.005, lambda t, q, v: 2.0 * v, name="kick")
+    scene = Scene(model, events=[kick], without=["user events", "joint limits"])
+    run = simulate(scene, q, v, 0.01, sensitivities="state")
+    expected = pinimpact.Stepper(replace(scene, events=[]), q, v).linearize(np.zeros(9), 0.01).A
+    assert np.array_equal(pinimpact.Stepper(scene, q, v).linearize(np.zeros(9), 0.01).A, expected)
+    np.testing.assert_allclose(run.sensitivity(0.01).state, expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -890,6 +904,8 @@ def test_unsupported_derivatives_raise():
     refuses("callback of 'kick'.*jacobian=", replace(scene, events=[kick]))
     few = replace(kick, jacobian=lambda t, q, v: np.eye(9))
     refuses("jacobian: .*shape", replace(scene, events=[few]))
+    failing = replace(kick, jacobian=lambda t, q, v: v["tip"])
+    refuses(r"jacobian: IndexError at t = 0\.05 s: ", replace(scene, events=[failing]))
     refuses("expected", names=["mass"])
     refuses("sensitivities: True given, a name or a sequence", names=True)
     refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)

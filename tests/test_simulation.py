@@ -382,6 +382,14 @@ def test_chattering_control_raises_and_suggested_remedies_succeed(rtol):
     assert abs(trajectory.v[-1, 0]) < 2e-3
 
 
+@pytest.mark.parametrize("scheme", ["auto", "event-driven", "time-stepping"])
+def test_failing_restitution_ends_the_run(scheme):
+    scene = Scene(ball(), [sphere(restitution=lambda speed: 1 / 0)])
+    with pytest.raises(pinimpact.SimulationError, match="restitution: ZeroDivisionError at an app") as caught:
+        simulate(scene, [0, 0, 0.2, *UP], np.zeros(6), 1.0, scheme=scheme)
+    assert 0.0 < caught.value.partial.t[-1] <= np.sqrt(0.2 / G)
+
+
 def test_control_that_switches_a_hundred_times_is_accepted():
     """A force of ±1 N that switches every T = 10 ms: after each period of 2T, v = 0 and x has grown by T²."""
     rtol = 1e-8

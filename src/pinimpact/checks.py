@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -204,6 +204,14 @@ def function(field: str, value: Any, what: str) -> Any:
     if not callable(value):
         raise InputError(f"{field}: {in_short(value)} is not {what}", value=value)
     return value
+
+
+def returned(field: str, where: str, called: Callable[..., T], *arguments: Any) -> T:
+    """Return the value of a user's function, or raise `InputError` saying where it failed."""
+    try:
+        return called(*arguments)
+    except Exception as error:
+        raise InputError(f"{field}: {type(error).__name__} {where}: {error}", value=called) from error
 
 
 def whole_number(field: str, value: Any, low: int, high: int | None = None) -> int:

@@ -313,7 +313,7 @@ def read_toml(path: Path, what: str, names: Iterable[str]) -> dict[str, Any]:
         names: Names that may be given instead of a path; messages suggest similar ones.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         known = f", and no {what} of that name; {near_matches(str(path), names)}" if names else ""
         raise InputError(f"{what}: there is no file {path}{known}", value=str(path)) from error

@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
-from ..checks import above_zero, as_tuple, at_least_zero, coefficient, in_short
+from ..checks import above_zero, as_tuple, at_least_zero, coefficient, in_short, returned
 from ..contact_space.laws import law_code
 from ..display import short_repr
 from ..errors import InputError
@@ -193,10 +193,11 @@ class Contact:
         """Return e for an approach speed [m/s].
 
         Raises:
-            InputError: The function of the contact does not return a number from 0 to 1.
+            InputError: The function of the contact fails, or does not return a number from 0 to 1.
         """
         if callable(self.restitution):
-            return coefficient(f"restitution({speed:.6g} m/s)", self.restitution(speed))
+            e = returned("restitution", f"at an approach of {speed:.6g} m/s", self.restitution, speed)
+            return coefficient(f"restitution({speed:.6g} m/s)", e)
         return self.restitution
 
     def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:

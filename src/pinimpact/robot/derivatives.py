@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .._numeric.tolerances import RANK
 from ..arrays import Array, Bools, Integers
-from ..checks import above_zero, finite_array, float_array
+from ..checks import above_zero, finite_array, float_array, real_number, returned
 from ..contact_space.derivatives import Boundary
 from ..contact_space.one_sided import check_side
 from ..contact_space.problem import ImpactProblem
@@ -155,7 +155,8 @@ def slope_of_restitution(contact: Contact, speed: float) -> float:
             "a function that returns de/dv for a speed",
             value=contact.restitution,
         )
-    return float(slope(speed))
+    found = returned("restitution.slope", f"at an approach of {speed:.6g} m/s", slope, speed)
+    return real_number("restitution.slope", found)
 
 
 @overload

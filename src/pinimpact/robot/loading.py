@@ -234,25 +234,52 @@ def _no_sdf(what: str | Path) -> ModelError:
     )
 
 
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+"""What urdfdom reads as a number, unless it is too large."""
+
+_INERTIAL = (
+    ("origin", ("xyz", "rpy")),
+    ("mass", ("value",)),
+    ("inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
+)
+
+
 def _check_inertias(path: Path) -> None:
-    """Raise `ModelError` for negative masses, and for text that is not a number, which urdfdom drops."""
-    for link in ElementTree.parse(path).getroot().iter("link"):
-        for element in (*link.iterfind("inertial/mass"), *link.iterfind("inertial/inertia")):
-            for key, text in element.items():
-                try:
-                    negative = float(text) < 0.0
-                except ValueError:
-                    raise ModelError(
-                        f"robot: {path}: {key}={text!r} given for the {element.tag} of link "
-                        f"{link.get('name')!r}, a number expected",
-                        value=str(path),
-                    ) from None
-                if element.tag == "mass" and negative:
-                    raise ModelError(
-                        f"robot: {path}: the mass of link {link.get('name')!r} is negative "
-                        f"({text} kg); a mass is at least 0",
-                        value=str(path),
-                    )
+    """Raise `ModelError` for negative masses, and for an <inertial> that urdfdom drops without an error."""
+    # XML parsers return tabs and line breaks in attributes as spaces, but urdfdom accepts spaces only
+    text = re.sub(
+        rb"\"[^\"<>]*\"|'[^'<>]*'",
+        lambda quoted: re.sub(rb"[\t\n\r]", lambda found: b"&#%d;" % ord(found[0]), quoted[0]),
+        path.read_bytes(),
+    )
+    for link in ElementTree.fromstring(text).iterfind("link"):
+        for inertial in link.findall("inertial")[:1]:  # urdfdom reads the first one
+            for tag, keys in _INERTIAL:
+                element = inertial.find(tag)
+                given = {} if element is None else element.attrib
+                for key in keys:
+                    _check_numbers(path, link.get("name"), tag, key, given.get(key))
+
+
+def _check_numbers(path: Path, link: str | None, tag: str, key: str, text: str | None) -> None:
+    """Raise `ModelError` for an attribute of an <inertial> that urdfdom drops, and for a negative mass."""
+    if text is None and tag == "origin":
+        return
+    words = [text or ""] if tag != "origin" else [word for word in (text or "").split(" ") if word]
+    readable = all(_NUMBER.fullmatch(word) and np.isfinite(float(word)) for word in words)
+    if not readable or len(words) != (3 if tag == "origin" else 1):
+        given = f"no {key}" if text is None else f"{key}={text!r}"
+        expected = "three finite numbers, separated by spaces," if tag == "origin" else "a finite number"
+        spaced = "" if text is None or text == text.rstrip() else ", without spaces after it,"
+        raise ModelError(
+            f"robot: {path}: {given} given for the {tag} of link {link!r}, {expected}{spaced} expected",
+            value=str(path),
+        )
+    if tag == "mass" and float(words[0]) < 0.0:
+        raise ModelError(
+            f"robot: {path}: the mass of link {link!r} is negative ({text} kg); a mass is at least 0",
+            value=str(path),
+        )
 
 
 # ---- shapes

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .._numeric.tolerances import LITTLE
 from ..arrays import Array
-from ..checks import finite_array
+from ..checks import finite_array, returned
 from .controls import JointPD, SampledControl, asked
 from .scene import Scene
 
@@ -29,7 +29,8 @@ def jacobian_of(scene: Scene) -> ControlJacobian | None:
 
 def forces_by_state(jacobian: ControlJacobian, t: float, q: Array, v: Array) -> Array:
     """Evaluate a `jacobian`, and check its shape (nv, 2 nv) and values."""
-    return finite_array("jacobian", jacobian(t, q.copy(), v.copy()), (len(v), 2 * len(v)))
+    found = returned("jacobian", f"at t = {t:.6g} s", jacobian, t, q.copy(), v.copy())
+    return finite_array("jacobian", found, (len(v), 2 * len(v)))
 
 
 def change_of_forces(scene: Scene, h: float, t: float, state: tuple[Array, Array], x: Array) -> Array:

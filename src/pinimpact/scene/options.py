@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..checks import real_number
+import numpy as np
+
+from ..checks import in_short, real_number
 from ..contact_space.methods import LEAST_RTOL, checked_rtol
 from ..errors import InputError
 from ._kernels.tolerances import ATOL, DT, RTOL
@@ -41,6 +43,8 @@ def check_numbers(**numbers: float) -> None:
         if name == "rtol":
             checked_rtol(value, LEAST_RTOL)
         number = real_number(name, value)
+        if np.ndim(value) > 0:
+            raise InputError(f"{name}: {in_short(value)} given; a number is expected", value=value)
         if not number > 0.0 or (name in ("duration", "dt", "atol") and not math.isfinite(number)):
             raise InputError(f"{name}: {number!r} given, a number > 0 expected", value=value)
         if name == "max_impacts" and number != math.inf and number != int(number):

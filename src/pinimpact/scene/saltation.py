@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array, Bools, Integers
-from ..checks import finite_array
+from ..checks import finite_array, returned
 from ..contact_space._kernels.tolerances import MISSED
 from ..contact_space.derivatives import Boundary
 from ..robot.corner_motion import Corner
@@ -247,7 +247,8 @@ class Saltation:
     ) -> Array:
         """Return changes x (2nv, n) after an event whose callback has set the velocity."""
         nv, given = len(record.v_before), (record.time, record.q.copy(), record.v_before.copy())
-        by = finite_array("jacobian", jacobian(*given), (nv + 1, 2 * nv + 1))
+        found = returned("jacobian", f"at t = {record.time:.6g} s", jacobian, *given)
+        by = finite_array("jacobian", found, (nv + 1, 2 * nv + 1))
         minus, plus = self.slopes.at(before, record.time), self.slopes.at(after, after.start)
         rate, later = np.append(record.v_before, minus.acceleration), np.append(after.v, plus.acceleration)
         passing = float(by[nv] @ np.append(rate, 1.0))

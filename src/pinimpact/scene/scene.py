@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import Bools
 from ..checks import above_zero, as_tuple, at_least_zero, coefficient, counted, in_short
 from ..contact_space.simultaneous import find_policy
 from ..display import changed_fields
@@ -20,12 +19,12 @@ from ..errors import InputError, ModelError
 from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact, check_contact, check_surface, is_pair, points_of_rim
+from ..robot.inertias import check_coefficients
 from ..robot.names import (
     ShapedRobot,
     frame_id,
     free_velocities,
     joint_keys,
-    joint_of_velocity,
     model_of,
     motion_signs,
 )
@@ -81,7 +80,7 @@ class Scene:
         InputError: Numbers out of range, two contacts with one name or one contact twice, a contact with the
             name of a joint limit or of a joint with dry friction, a surface that does not move within itself.
         UnknownNameError: A frame, joint or effect that does not exist.
-        ModelError: Invalid gravity, joint damping, dry friction or joint limits of the model.
+        ModelError: Invalid gravity, joint damping, dry friction, rotor inertia or joint limits of the model.
     """
 
     model: pin.Model
@@ -408,23 +407,17 @@ def _check_surface_motion(field: str, contact: Contact) -> None:
 
 
 def check_numbers(model: pin.Model) -> None:
-    """Raise `ModelError` for invalid gravity, damping, dry friction or joint limits of a model."""
+    """Raise `ModelError` for invalid gravity, damping, dry friction, armature or joint limits of a model."""
     gravity = model.gravity.vector
     if not np.isfinite(gravity).all():
         raise _refused("gravity", gravity.tolist(), "finite numbers [m/s²]")
-    for field, unit in (("damping", "N m s/rad or N s/m"), ("friction", "N m or N")):
-        values = np.asarray(getattr(model, field))
-        for k in _first(~(np.isfinite(values) & (values >= 0.0))):
-            joint = joint_of_velocity(model, k)
-            raise _refused(f"{field}[{k}]", values[k], f"a finite number ≥ 0 [{unit}] for joint {joint!r}")
+    check_coefficients(model, "damping", "N m s/rad or N s/m")
+    check_coefficients(model, "friction", "N m or N")
+    check_coefficients(model, "armature", "kg m² or kg")
     for field in ("lowerPositionLimit", "upperPositionLimit"):
         values = np.asarray(getattr(model, field))
-        for k in _first(np.isnan(values)):
+        for k in np.flatnonzero(np.isnan(values))[:1].tolist():
             raise _refused(f"{field}[{k}]", values[k], "a bound [rad or m], infinite where there is none,")
-
-
-def _first(faults: Bools) -> list[int]:
-    return np.flatnonzero(faults)[:1].tolist()
 
 
 def _refused(field: str, value: object, expected: str) -> ModelError:

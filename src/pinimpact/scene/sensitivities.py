@@ -71,7 +71,7 @@ def check_supported(scene: Scene) -> None:
             "and v that returns the derivative (nv, 2 nv) of the forces by q and v",
             scene.control,
         )
-    for event in as_events(scene.events):
+    for event in as_events(scene.events) if "user events" not in scene.without else ():
         if event.callback is not None and event.jacobian is None:
             what, value = (
                 f"the callback of {event.label!r}, whose derivative is not known; give jacobian=",

@@ -130,6 +130,7 @@ def integrator_of(scheme: str, scene: Scene, q0: ArrayLike, v0: ArrayLike, optio
         return integrator
     if scheme == "auto":
         return Alternating(scene, q0, v0, options)
+    options.checked()  # also those that time steps do not use
     return TimeStepping(scene, q0, v0, Options(max_impacts=options.max_impacts, dt=options.dt))
 
 
