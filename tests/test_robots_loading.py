@@ -49,6 +49,15 @@ def urdf(tmp_path):
     return write
 
 
+def test_joint_with_the_name_of_the_free_joint_is_refused(urdf):
+    """Pinocchio puts its link onto the free joint."""
+    path = urdf()
+    path.write_text(path.read_text().replace('name="hinge"', 'name="root_joint"'))
+    assert list(pinimpact.load_robot(path).model.names) == ["universe", "root_joint"]
+    with pytest.raises(pinimpact.ModelError, match="a joint has the name of the free joint, 'root_joint'"):
+        pinimpact.load_robot(path, free_flyer=True)
+
+
 def test_files_are_closed(monkeypatch):
     opened = []
 

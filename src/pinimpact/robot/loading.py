@@ -188,6 +188,12 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
             f"robot: {path} is not a URDF file that Pinocchio can read: {reason}", value=str(path)
         ) from error
     _check_inertias(path)
+    if free_flyer and list(model.names).count("root_joint") > 1:  # Pinocchio finds joints by name
+        raise ModelError(
+            f"robot: {path}: a joint has the name of the free joint, 'root_joint'; rename it, or load the "
+            "robot without free_flyer",
+            value=str(path),
+        )
     folders = [str(Path(folder).expanduser()) for folder in package_dirs]
     folders += [str(folder) for folder in path.resolve().parents[:4]]
     missing: dict[str, None] = {}
