@@ -130,10 +130,10 @@ class TimeStepping(Integrator):
     def _restart_after(self, interruption: Interruption) -> None:
         """Apply the velocity of a user event, with the impulses of held contacts that it violates."""
         Integrator._restart_after(self, interruption)
-        state = self.state
-        if interruption.velocity is None or not len(self._held):
+        state, held = self.state, np.flatnonzero(self.work.bilateral).tolist()
+        if interruption.velocity is None or not held:
             return
-        motion = self.dynamics.free_motion_at(state.t, state.q, state.v, self._held.tolist())
+        motion = self.dynamics.free_motion_at(state.t, state.q, state.v, held)
         rows = motion.jacobian.reshape(-1, len(state.v))
         response = np.linalg.solve(PlacedRobot(self.model, self.data, state.q).mass_matrix(), rows.T)
         impulse = np.linalg.lstsq(rows @ response, -motion.velocity.ravel(), rcond=HALF_DIGITS)[0]
