@@ -56,6 +56,14 @@ def test_stiff_drives_need_no_more_evaluations(kp, kd):
     assert trajectory.statistics["evaluations"] < 4000  # explicit steps would be at most about 5/kd
 
 
+def test_drives_keep_the_numbers_that_they_were_given():
+    target = np.zeros(3)
+    control = JointPD(10.0, 1.0, target)
+    target[:] = 7.0
+    trajectory = simulate(mass(control), np.zeros(3), np.zeros(3), 0.5)
+    assert np.abs(trajectory.q).max() < 1e-12
+
+
 def test_error_of_stiff_drives_follows_the_tolerance():
     # a double pendulum with a light lower arm, against scipy's implicit method
     model = pendulum()

@@ -106,6 +106,13 @@ def test_start_beyond_joint_limit_raises():
     assert simulate(Scene(model, without=["joint limits"]), [0.6], [0.0], 0.1).complete
 
 
+def test_gravity_has_no_angular_part():
+    model = pendulum()
+    model.gravity.angular = np.array([0.0, 1.0, 0.0])
+    with pytest.raises(pinimpact.ModelError, match=r"model\.gravity\.angular: .* given, zeros"):
+        Scene(model)
+
+
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [

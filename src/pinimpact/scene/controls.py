@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -75,6 +76,10 @@ class JointPD:
     limits: ArrayLike | None = None
 
     __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        for name in ("kp", "kd", "q_ref", "limits"):  # the caller may change its arrays later
+            object.__setattr__(self, name, copy(getattr(self, name)))
 
     def drives(self, model: pin.Model) -> Drives:
         """Return the drives of a robot.

@@ -411,6 +411,8 @@ def check_numbers(model: pin.Model) -> None:
     gravity = model.gravity.vector
     if not np.isfinite(gravity).all():
         raise _refused("gravity", gravity.tolist(), "finite numbers [m/s²]")
+    if gravity[3:].any():  # no potential has it
+        raise _refused("gravity.angular", gravity[3:].tolist(), "zeros")
     check_coefficients(model, "damping", "N m s/rad or N s/m")
     check_coefficients(model, "friction", "N m or N")
     check_coefficients(model, "armature", "kg m² or kg")
