@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -550,18 +551,25 @@ def test_cached_kernels_are_loaded_without_the_compiler(package: Path) -> None:
     assert python(package, CALL + imported).stdout.endswith("False\n")
 
 
-def test_memory_of_kernels_is_released_once() -> None:
+def allocated_and_freed(kernel: Callable[[int], Any], sizes: Iterable[int]) -> tuple[int, int]:
+    """Return how many blocks of memory calls of a kernel allocate and free."""
     _nrt_python.memsys_enable_stats()
     before = rtsys.get_allocation_stats()
-    for _ in range(3):
-        kept, factor = with_references(5)
-        np.testing.assert_array_equal(kept, np.full(5, 0.0 + 1.0 + 3.0 + 4.0))
-        assert factor == 4.0
-    del kept
+    for n in sizes:
+        kernel(n)
     after = rtsys.get_allocation_stats()
     _nrt_python.memsys_disable_stats()
-    assert after.mi_alloc > before.mi_alloc
-    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
+    return after.mi_alloc - before.mi_alloc, after.mi_free - before.mi_free
+
+
+def test_memory_of_kernels_is_released_once() -> None:
+    def check(n: int) -> None:
+        kept, factor = with_references(n)
+        np.testing.assert_array_equal(kept, np.full(5, 0.0 + 1.0 + 3.0 + 4.0))
+        assert factor == 4.0
+
+    allocated, freed = allocated_and_freed(check, [5, 5, 5])
+    assert allocated == freed > 0
 
 
 @inlined
@@ -588,13 +596,8 @@ def test_arrays_are_borrowed_for_the_duration_of_a_call() -> None:
     for out, first in kept:
         np.testing.assert_array_equal(out, expected)
         assert first == 2.0
-    _nrt_python.memsys_enable_stats()
-    before = rtsys.get_allocation_stats()
-    for n in range(1, 9):
-        sums_of_new_rows(n)
-    after = rtsys.get_allocation_stats()
-    _nrt_python.memsys_disable_stats()
-    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 16
+    allocated, freed = allocated_and_freed(sums_of_new_rows, range(1, 9))
+    assert allocated == freed == 16
 
 
 @external
@@ -641,13 +644,8 @@ def test_references_are_counted_only_by_kernels_that_allocate_or_return_arrays()
         np.testing.assert_array_equal(pair.kept, [6.0, 6.0, 6.0])
         assert total == 12.0
     del kept, out, part, pair
-    _nrt_python.memsys_enable_stats()
-    before = rtsys.get_allocation_stats()
-    for n in range(2, 9):
-        views_and_selections(n)
-    after = rtsys.get_allocation_stats()
-    _nrt_python.memsys_disable_stats()
-    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free > 0
+    allocated, freed = allocated_and_freed(views_and_selections, range(2, 9))
+    assert allocated == freed > 0
 
 
 def test_message_while_compiling_appears_in_the_first_run(compiled: Path, first_run: FirstRun) -> None:

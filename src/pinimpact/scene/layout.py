@@ -33,10 +33,10 @@ LEAST = 4
 
 
 class SceneLayout:
-    """Tables and bounds of a scene, valid while the model does not change, see `holds_for`.
+    """Tables and bounds of a scene.
 
     Args:
-        model: The model.
+        model: The model, which does not change.
         contacts: Unilateral contacts.
         held: Bilateral contacts.
         limited: Whether the joint limits act.
@@ -56,37 +56,19 @@ class SceneLayout:
         self._held = tuple(held)
         self._limited = limited
         self._geometry = geometry
-        self._sizes = _sizes(model)
-        self._links = [pin.SE3(placement) for placement in model.jointPlacements]
-        self._bounds = _bounds(model)
-        every = (*self._contacts, *self._held)
-        self._runs = runs(every)
-        keys = dict.fromkeys(key for c in every for key in (c.frame, c.plane.body) if key is not None)
-        ids = (frame_id(model, key) for key in keys)
-        self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
+        self._runs = runs((*self._contacts, *self._held))
         self._spare_dynamics: list[RobotDynamics] = []
         self._spare_data: list[Any] = []
         self._damping: _Last[bytes, float] = _Last()
-        self._gyration: _Last[bytes, Array] = _Last()
-        self._metres: _Last[bytes, Array] = _Last()
         self._tables: _Last[tuple[Contact, ...], ContactTables] = _Last()
         self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
-
-    def holds_for(self, model: pin.Model) -> bool:
-        """Return whether the sizes, placements and joint limits of the model are unchanged."""
-        return bool(
-            self._sizes == _sizes(model)
-            and self._links == model.jointPlacements.tolist()
-            and self._bounds == _bounds(model)
-            and all(model.frames[i].placement == placement for i, placement in self._frames)
-        )
 
     @cached_property
     def limits(self) -> tuple[JointLimit, ...]:
         """The finite limits of joints with scalar coordinates."""
         return joint_limits(self._model)
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """The robot's size L [m]: its longest chain or link, else largest radius of gyration, else 1 m."""
         return self._longest or float(self._radii.max(initial=0.0)) or 1.0
@@ -98,19 +80,14 @@ class SceneLayout:
         chains = [chain_length(self._model, links, contact) for contact in self._bounding.values()]
         return max(*chains, *links, 0.0)
 
-    @property
+    @cached_property
     def metres_per_unit(self) -> Array:
         """(nv,) κ of (10.6), the metres per unit of each velocity; not to be changed in place."""
-        return self._metres.of(
-            self._inertias(), lambda _: metres_per_unit(self._model, self._radii, self.extent)
-        )
+        return metres_per_unit(self._model, self._radii, self.extent)
 
-    @property
+    @cached_property
     def _radii(self) -> Array:
-        return self._gyration.of(self._inertias(), lambda _: gyration(self._model))
-
-    def _inertias(self) -> bytes:
-        return np.concatenate([one.toDynamicParameters() for one in self._model.inertias]).tobytes()
+        return gyration(self._model)
 
     @cached_property
     def unreachable(self) -> tuple[str, ...]:
@@ -335,14 +312,6 @@ class ContactTables(NamedTuple):
     friction: Array
     blocks: Integers
     spheres: Array
-
-
-def _sizes(model: pin.Model) -> tuple[int, int, int, int]:
-    return model.nq, model.nv, model.njoints, model.nframes
-
-
-def _bounds(model: pin.Model) -> tuple[bytes, bytes]:
-    return model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()
 
 
 def runs(contacts: Sequence[Contact]) -> list[tuple[int, int]]:

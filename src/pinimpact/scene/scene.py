@@ -282,11 +282,12 @@ class Scene:
 
     def layout(self) -> SceneLayout:
         """Return the layout of the scene, computed again if the model has changed."""
-        known: SceneLayout | None = vars(self).get("_layout")
-        if known is None or not known.holds_for(self.model):
+        scene = self.fixed()
+        known: SceneLayout | None = vars(scene).get("_layout")
+        if known is None:
             limited = "joint limits" not in self.without
-            known = SceneLayout(self.model, self.contacts, self.held, limited, self.geometry)
-            object.__setattr__(self, "_layout", known)
+            known = SceneLayout(scene.model, self.contacts, self.held, limited, self.geometry)
+            object.__setattr__(scene, "_layout", known)
         return known
 
     def plan(self) -> Plan:
