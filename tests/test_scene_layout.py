@@ -47,6 +47,22 @@ def test_changed_joint_placement_recomputes_layout():
     assert scene.layout() is not before
 
 
+def test_changed_mass_takes_effect_for_many_bodies():
+    """Such a robot has no Data of its own, but one for each of its trees."""
+    model, count = pin.Model(), 30
+    for k in range(count):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"ball{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        model.addBodyFrame(f"ball{k}", joint, pin.SE3.Identity(), 0)
+    scene = Scene(model, [Contact(f"ball{k}", Plane(), radius=0.1, name=f"floor{k}") for k in range(count)])
+    start = np.tile([0, 0, 0.1, *UP], count)
+    start[::7] = np.arange(count)
+    for mass in (1.0, 3.0):
+        model.inertias[6] = pin.Inertia.FromSphere(mass, 0.1)
+        trajectory = simulate(scene, start, np.zeros(6 * count), 0.1)
+        assert trajectory.forces("floor5", 0.05)[2] == pytest.approx(mass * G, rel=1e-9)
+
+
 def test_repeated_and_nested_runs_are_bitwise_equal():
     scene = sphere_above()
     start, v = [0, 0, 0.5, *UP], np.array([0.3, 0, 0, 1.0, 2.0, 0])

@@ -58,11 +58,6 @@ class Forest:
         self.parts = [_part(model, first, stop) for first, stop in _ranges(model, most)]
         self.oMi, self.v, self.a = (_OfJoints(self.parts, field) for field in ("oMi", "v", "a"))
 
-    def refresh(self) -> None:
-        """Update the numbers of the model, which may have changed."""
-        for part in self.parts:
-            _set_numbers(part.model, self.model, part.first, part.v)
-
     def parents(self) -> Integers:
         """Return (nv,) the next velocity towards the root, or −1."""
         found = [np.array(part.data.parents_fromRow, dtype=np.int64) for part in self.parts]
@@ -193,13 +188,7 @@ def _part(model: pin.Model, first: int, stop: int) -> Part:
         slice(starts[first], starts[first] + size)
         for starts, size in ((model.idx_qs, own.nq), (model.idx_vs, own.nv))
     )
-    _set_numbers(own, model, first, v)
-    return Part(own, own.createData(), q, v, first)
-
-
-def _set_numbers(own: pin.Model, model: pin.Model, first: int, v: slice) -> None:
-    own.gravity = model.gravity
-    own.armature = np.array(model.armature[v])
+    own.gravity, own.armature = model.gravity, np.array(model.armature[v])
     for j in range(1, own.njoints):
-        own.jointPlacements[j] = model.jointPlacements[j + first - 1]
         own.inertias[j] = model.inertias[j + first - 1]
+    return Part(own, own.createData(), q, v, first)

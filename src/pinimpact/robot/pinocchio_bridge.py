@@ -104,9 +104,6 @@ class RobotDynamics:
         self.model = model
         self.q, self.v, self.tau = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
 
-    def refresh(self) -> None:
-        """Update numbers of the model, which may have changed, if they are not read in place."""
-
 
 def robot_dynamics(model: pin.Model) -> RobotDynamics:
     """Return the forward dynamics of a robot, with results in place if this version of Pinocchio allows it.
@@ -218,7 +215,6 @@ class _OfParts(_Filled):
 
     def __init__(self, model: pin.Model, forest: Forest) -> None:
         super().__init__(model, self._accelerate, self._invert, self._move)
-        self._forest = forest
         self.placements[0, [0, 4, 8]] = 1.0
         self.accelerations[0] = -model.gravity.vector
         free = [j for j in range(1, model.njoints) if _flies_freely(model, j)]
@@ -230,11 +226,6 @@ class _OfParts(_Filled):
             for part in forest.parts
             if not set(range(part.joints.start, part.joints.stop)) <= set(free)
         ]
-        self.refresh()
-
-    def refresh(self) -> None:
-        """See `RobotDynamics.refresh`."""
-        self._forest.refresh()
         for body, (joint, _, first) in zip(self._bodies, self._free.tolist(), strict=True):
             inertia, base = self.model.inertias[joint], self.model.jointPlacements[joint]
             body[:] = [

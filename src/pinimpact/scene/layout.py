@@ -15,7 +15,7 @@ from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.constants import ABSENT, CONSTANTS, KIND
 from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
-from ..robot.forest import Forest, data_of, inverse_mass
+from ..robot.forest import data_of, inverse_mass
 from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import ShapedRobot, frame_id, motion_signs
 from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
@@ -220,7 +220,6 @@ class SceneLayout:
         if model is not self._model:
             return robot_dynamics(model)
         robot = self._spare_dynamics.pop() if self._spare_dynamics else robot_dynamics(model)
-        robot.refresh()
         weakref.finalize(owner, self._spare_dynamics.append, robot).atexit = False
         return robot
 
@@ -229,8 +228,6 @@ class SceneLayout:
         if model is not self._model:
             return data_of(model)
         data = self._spare_data.pop() if self._spare_data else data_of(model)
-        if isinstance(data, Forest):
-            data.refresh()
         weakref.finalize(owner, self._spare_data.append, data).atexit = False
         return data
 
