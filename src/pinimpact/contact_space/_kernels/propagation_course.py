@@ -19,7 +19,7 @@ from .plastic import come_to_rest, end_plastically, impulses_together
 from .propagation_advance import NO_ROW, advance, record, record_step, time_power
 from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
-from .propagation_series import ORDER, SHORT, Series, expand, natural_pace, unknown_after
+from .propagation_series import FEWER, ORDER, SHORT, START, Series, expand, natural_pace, unknown_after
 from .propagation_slow_slip import expand_slowly, residual_at
 from .propagation_state import BEGUN, TIED, State, System, begin_to_slip, close, loads, open_contact, stored
 from .tolerances import AGREE, NEGLIGIBLE, SLIP_SPEED, SLOW
@@ -160,8 +160,10 @@ def _step_to_event(
             allowed = ROUNDOFF if slowly else NEGLIGIBLE
             h, pace = _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed)
             slowly, begun = h > 0.0, False
+        order = ORDER
         if not (tied or slowly):
-            h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)
+            order = FEWER if since == 0 else ORDER
+            h, pace, root = _expand_step(system, state, unknown, inverse, order, accuracy, series)
         counts[STEP] += 1
         since += 1
         if counts[STEP] > most:
@@ -171,7 +173,14 @@ def _step_to_event(
             _open_locked(state)
             return at_once, clock
         crowded = at_once > 2 * len(state.normal)
-        first, degree = find_events(system, state, series, h, NEGLIGIBLE / pace, crowded, roots, guard, work)
+        while True:
+            first, degree = find_events(
+                system, state, series, h, order, NEGLIGIBLE / pace, crowded, roots, guard, work
+            )
+            if first <= h or order == ORDER:
+                break
+            expand(system, state, unknown, inverse, order + 1, ORDER, pace, series)
+            order, h = ORDER, _step_length(system, series, ORDER, accuracy, pace, LONGEST)
         h = first if degree == SHORT else min(h, first)
         if h > 0.0:
             at_once = 0 if h * pace > NEGLIGIBLE else at_once
@@ -184,7 +193,7 @@ def _step_to_event(
         if tied:
             _end_onset(state)
         if first <= h:
-            apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
+            apply_events(system, state, series, order, roots, first, NEGLIGIBLE / pace)
             return at_once + 1, clock
 
 
@@ -213,12 +222,13 @@ def _fly(system, state, time):
 
 
 @inlined
-def _expand_step(system, state, unknown, inverse, accuracy, series):
+def _expand_step(system, state, unknown, inverse, order, accuracy, series):
     """Expand the series of a step; return the largest step size, its time scale, and whether it is in √s."""
-    expand(system, state, unknown, inverse, FIRST, 1.0, series)
+    expand(system, state, unknown, inverse, START, FIRST, 1.0, series)
     pace = natural_pace(state, series)
-    root = expand(system, state, unknown, inverse, ORDER, pace, series)
-    return _step_length(system, series, accuracy, pace, LONGEST), pace, root
+    begin = START if pace < 1.0 else FIRST + 1
+    root = expand(system, state, unknown, inverse, begin, order, pace, series)
+    return _step_length(system, series, order, accuracy, pace, LONGEST), pace, root
 
 
 @inlined
@@ -231,7 +241,7 @@ def _expand_onset(system, state, unknown, inverse, accuracy, series):
     for i in range(len(state.v)):
         if state.fresh[i // 3] == TIED and i % 3 < 2:
             state.v[i] = 0.0
-    h, pace, _ = _expand_step(system, state, unknown, inverse, accuracy, series)
+    h, pace, _ = _expand_step(system, state, unknown, inverse, ORDER, accuracy, series)
     slowest = math.inf
     for j in range(len(state.fresh)):
         if state.fresh[j] == TIED:
@@ -260,7 +270,7 @@ def _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed
     for part in PARTS:
         pace = expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
         if pace > 0.0:
-            h = _step_length(system, series, accuracy, pace, LONGEST)
+            h = _step_length(system, series, ORDER, accuracy, pace, LONGEST)
             if residual_at(residual, h) <= allowed:
                 return h, pace
     return 0.0, 1.0
@@ -284,7 +294,7 @@ def _separate_oscillating(system, state, unknown, inverse, series):
         some = some or state.normal[j] == HELD
     if not some:
         return False
-    expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
+    expand(system, state, unknown, inverse, START, START, 1.0, series)
     least, strongest = 0.0, 0.0
     for j in range(n):
         if state.normal[j] == HELD:
@@ -387,10 +397,10 @@ def _next_closing(state):
 
 
 @inlined
-def _step_length(system, series, accuracy, pace, h):
+def _step_length(system, series, order, accuracy, pace, h):
     """Return the step size, at most h, at which the last three terms of the series equal the accuracy."""
     weight = largest_diagonal(system.w)
-    for k in range(ORDER - 1, ORDER + 2):
+    for k in range(order - 1, order + 2):
         # self-equilibrated forces do not appear in the velocities
         forces = LITTLE * weight * largest(series.force[k - 1]) * pace / k
         size = max(largest(series.v[k]), largest(series.indentation[k]), forces)

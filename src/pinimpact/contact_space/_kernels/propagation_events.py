@@ -13,7 +13,7 @@ from ..._numeric.loops import filled, largest
 from ..._numeric.tolerances import NOISE, ROUNDOFF
 from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
 from .first_fall import NEVER, first_fall, value_at
-from .propagation_series import ORDER, SHORT, Series
+from .propagation_series import SHORT, Series
 from .propagation_sharing import limit_of_holding
 from .propagation_state import (
     AT_BOUND,
@@ -34,26 +34,27 @@ REACH = 20.0
 
 
 @inlined
-def _fall(c, h, zero, crowded, work):
+def _fall(c, degree, h, zero, crowded, work):
     """Return the first time in [0, h] at which a guard becomes negative, or `NEVER`.
 
     `crowded` ignores guards that start at zero and are negative at once, to end a cascade of such events.
     """
-    time = first_fall(c, ORDER, h, zero, work)
+    time = first_fall(c, degree, h, zero, work)
     return NEVER if crowded and time <= 0.0 and c[0] >= -zero else time
 
 
 @declared(
-    *(System, State, Series, float, float, bool, FLOAT_ROWS, FLOATS, FLOAT_ROWS),
+    *(System, State, Series, float, int, float, bool, FLOAT_ROWS, FLOATS, FLOAT_ROWS),
     result=types.Tuple((types.float64, types.int64)),
 )
 @external
-def find_events(system, state, series, h, tie, crowded, roots, guard, work):
+def find_events(system, state, series, h, order, tie, crowded, roots, guard, work):
     """Find the times in [0, h] at which the modes of contacts end.
 
     Args:
         system, state, series: The `System`, the `State` at the start of the step, and the `Series`.
         h: Step size, in the variable of the series.
+        order: Degree of the series.
         tie: Difference of times within which events are simultaneous.
         crowded: Whether too many events have followed each other without a step.
         roots: (n, 3) is overwritten with the times at which either of two normal guards and the tangential
@@ -67,7 +68,7 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
     system, state, series = borrowed(system), borrowed(state), borrowed(series)
     roots, guard, work = borrowed(roots), borrowed(guard), borrowed(work)
     n = len(system.friction)
-    first, degree, uneven = NEVER, ORDER, False
+    first, degree, uneven = NEVER, order, False
     strongest = 0.0
     for j in range(n):
         for k in range(2):
@@ -79,20 +80,20 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
         still = series.changes[x] + series.changes[y] + series.changes[z] == 0 and series.v[0, z] == 0.0
         if still and mode in (OPEN, LOADING):
             continue
-        _fill_normal_guard(state, series, mode, j, guard)
+        _fill_normal_guard(state, series, order, mode, j, guard)
         zero = ROUNDOFF * strongest if mode == HELD else ROUNDOFF
-        roots[j, 0] = _fall(guard, reach, zero, crowded, work)
+        roots[j, 0] = _fall(guard, order, reach, zero, crowded, work)
         if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
-            for k in range(ORDER):
+            for k in range(order):
                 guard[k] = (k + 1.0) * series.force[k + 1, z]
-            guard[ORDER] = 0.0
-            top = _fall(guard, reach, ROUNDOFF * strongest, crowded, work)
+            guard[order] = 0.0
+            top = _fall(guard, order, reach, ROUNDOFF * strongest, crowded, work)
             cap = system.stiffness[j] * state.deepest[j] ** system.exponent
-            highest = value_at(series.force, z, ORDER, top) if top < roots[j, 0] else 0.0
+            highest = value_at(series.force, z, order, top) if top < roots[j, 0] else 0.0
             if highest + state.ringing[j] * system.exponent > cap * (1.0 + NEGLIGIBLE):
                 roots[j, 0] = top
         if mode in (RISING, SINKING, HELD):
-            for k in range(ORDER + 1):
+            for k in range(order + 1):
                 if mode == RISING:
                     guard[k] = series.indentation[k, j]
                 else:
@@ -101,15 +102,15 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[0] += state.deepest[j]
             elif mode == HELD:
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
-            roots[j, 1] = _fall(guard, reach, zero, crowded, work)
+            roots[j, 1] = _fall(guard, order, reach, zero, crowded, work)
         if state.tangent[j] == STUCK:
-            _fill_stick_guard(system, series, j, guard)
-            roots[j, 2] = _fall(guard, reach, NOISE * strongest * strongest, crowded, work)
+            _fill_stick_guard(system, series, order, j, guard)
+            roots[j, 2] = _fall(guard, order, reach, NOISE * strongest * strongest, crowded, work)
             if state.shared[j] != NOT_SHARED:
                 uneven |= roots[j, 2] < NEVER
                 roots[j, 2] = NEVER
         elif state.tangent[j] == SLIPPING:
-            roots[j, 2], straight, least = _end_of_slip(state, series, h, reach, j, guard, work)
+            roots[j, 2], straight, least = _end_of_slip(state, series, h, order, reach, j, guard, work)
             if straight and roots[j, 2] < first:
                 degree = SHORT
             first = min(first, least)
@@ -117,22 +118,22 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
             if roots[j, k] < first:
                 first = roots[j, k]
                 if k < 2 or state.tangent[j] == STUCK:
-                    degree = ORDER
+                    degree = order
     for j in range(n):
         if state.shared[j] != NOT_SHARED:
             state.shared[j] = UNEVEN if uneven else SHARED
     if uneven:
-        limit = limit_of_holding(system, state, series, ORDER, min(h, first), roots, work)
+        limit = limit_of_holding(system, state, series, order, min(h, first), roots, work)
         if limit < NEVER:
-            return limit, ORDER
+            return limit, order
     return first, degree
 
 
 @inlined
-def _fill_normal_guard(state, series, mode, j, guard):
+def _fill_normal_guard(state, series, order, mode, j, guard):
     """Fill the series of the guard of contact j's normal mode: its gap, ±v₃, or its least force if held."""
     z = 3 * j + 2
-    for k in range(ORDER + 1):
+    for k in range(order + 1):
         if mode == OPEN:
             guard[k] = -series.indentation[k, j]
         elif mode == HELD:
@@ -144,11 +145,11 @@ def _fill_normal_guard(state, series, mode, j, guard):
 
 
 @inlined
-def _fill_stick_guard(system, series, j, guard):
+def _fill_stick_guard(system, series, order, j, guard):
     """Fill the series of μ²F² − |f|² of contact j."""
     x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
     square = system.friction[j] * system.friction[j]
-    for k in range(ORDER + 1):
+    for k in range(order + 1):
         total = 0.0
         for i in range(k + 1):
             total += square * series.force[i, z] * series.force[k - i, z]
@@ -158,12 +159,12 @@ def _fill_stick_guard(system, series, j, guard):
 
 
 @inlined
-def _end_of_slip(state, series, h, reach, j, guard, work):
+def _end_of_slip(state, series, h, order, reach, j, guard, work):
     """Find the end of slip of contact j, or the time at which its slip velocity passes close to zero.
 
     Args:
         reach: End of the search interval.
-        state, series, h, guard, work: As for `find_events`.
+        state, series, h, order, guard, work: As for `find_events`.
 
     Returns:
         The time of the end, whether slip is straight up to there, and the time of the close passage. Times
@@ -171,13 +172,13 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
     """
     x, y, speed = 3 * j, 3 * j + 1, series.speed[0, j]
     ux, uy, fresh = series.unit[0, 2 * j], series.unit[0, 2 * j + 1], state.fresh[j]
-    for k in range(ORDER + 1):
+    for k in range(order + 1):
         guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
     if fresh == TIED:  # v_t is of order s²
         guard[0] = guard[1] = 0.0
-    time = _fall(guard, reach, 0.0, False, work)
+    time = _fall(guard, order, reach, 0.0, False, work)
     if time < NEVER:
-        across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
+        across = value_at(series.v, y, order, time) * ux - value_at(series.v, x, order, time) * uy
         if abs(across) <= 10.0 * ROUNDOFF:
             return time, False, NEVER
         # slip reverses there; a series from far away would not resolve that, so the step ends
@@ -197,7 +198,7 @@ def _end_of_slip(state, series, h, reach, j, guard, work):
 
 
 @inlined
-def apply_events(system, state, series, roots, first, tie):
+def apply_events(system, state, series, order, roots, first, tie):
     """Change the modes of contacts that have an event at the time `first`, or at most `tie` later."""
     now = first + tie
     before = state.tangent.copy()
@@ -218,9 +219,9 @@ def apply_events(system, state, series, roots, first, tie):
                 if state.tangent[other] == SLIPPING and state.fresh[other] == 0 and speed <= SLOW:
                     stick(state, other)
         elif at_bound and before[j] == STUCK:  # together with contacts within `SAME` of their bounds
-            fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
+            fx, fy = value_at(series.force, z - 2, order, first), value_at(series.force, z - 1, order, first)
             length = math.hypot(fx, fy)
-            bound = system.friction[j] * value_at(series.force, z, ORDER, first)
+            bound = system.friction[j] * value_at(series.force, z, order, first)
             if state.shared[j] != NOT_SHARED:
                 state.fresh[j] = AT_BOUND if tangent else 0
             elif length > 0.0 and (tangent or length >= (1.0 - SAME) * bound):

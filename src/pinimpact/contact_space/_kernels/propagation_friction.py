@@ -17,6 +17,7 @@ from ..._numeric.products import dot
 from ..._numeric.tolerances import COMPUTED, LITTLE, TINY
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
+    START,
     Series,
     bounded_unknowns,
     expand,
@@ -137,7 +138,7 @@ def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
         if held[j] == 1:
             normal[j] = OPEN
     none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
-    root = expand(system, state, none, no_inverse, WEIGHED_ORDER, 1.0, series)
+    root = expand(system, state, none, no_inverse, START, WEIGHED_ORDER, 1.0, series)
     for j in range(n):
         if stuck[j] == 1:
             tangent[j] = STUCK
@@ -186,7 +187,7 @@ def _begin_at_bound(system, state, smooth, unit, weight, series):
     at_bound, dropped = state.fresh.copy(), tied
     while tied > 0 and dropped > 0:
         unknown, inverse, weight = unknown_after(system, state, unit, weight)
-        expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
+        expand(system, state, unknown, inverse, START, np.int64(1), 1.0, series)
         dropped = 0
         for j in range(n):
             if state.fresh[j] == TIED:

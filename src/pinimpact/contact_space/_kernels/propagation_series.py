@@ -21,8 +21,12 @@ from .propagation_mechanism import fill_mechanism, new_mechanism, turn_together
 from .propagation_state import TIED, State, System, friction_share, loads, rate
 from .tolerances import NEGLIGIBLE
 
-ORDER, SHORT = np.int64(24), np.int64(2)
-"""Degree of the series, and of the one that is used where slip ends on a straight line."""
+ORDER, FEWER, SHORT = np.int64(24), np.int64(14), np.int64(2)
+"""Degree of the series; the one that is tried first after an event, since the next one is often close; and
+the one that is used where slip ends on a straight line."""
+
+START = np.int64(0)
+"""Order of the first coefficient of a series."""
 
 POINTS = 4
 """Number of points per step in a recorded path."""
@@ -137,15 +141,16 @@ def unknown_after(system, state, unit, weight):
     return unknown, inverse, weight
 
 
-@declared(System, State, INTEGERS, FLOAT_ROWS, int, float, Series, result=bool)
+@declared(System, State, INTEGERS, FLOAT_ROWS, int, int, float, Series, result=bool)
 @external
-def expand(system, state, unknown, inverse, order, pace, series):
+def expand(system, state, unknown, inverse, begin, order, pace, series):
     """Compute the power series of the motion from a state on, for constant modes.
 
     Args:
         system, state: The `System` and the `State`.
         unknown: (m,) indices in (3n,) of the unknown forces.
         inverse: (m, m) matrix of `force_inverse`.
+        begin: Order of the first coefficients to compute: `START`, or one more than those in `series`.
         order: Degree of the series.
         pace: Time scale: the variable is s/pace, or √s/pace.
         series: Is overwritten with the coefficients.
@@ -164,14 +169,15 @@ def expand(system, state, unknown, inverse, order, pace, series):
         indentation[0, j] = state.indentation[j]
         for i in range(3 * j, 3 * j + 3):
             v[0, i] = state.v[i]
-            series.changes[i] = 0
+            if begin == START:
+                series.changes[i] = 0
         if hertz and loads(state.normal[j]) and state.indentation[j] <= 0.0:
             root = True
     fixed, rates = np.empty(len(unknown)), np.empty(n)
     closed, ties = what_changes(system, state, rates)
     count = len(ties) if order > 0 else 0
     answers, mechanism = np.zeros((count, 3 * n)), new_mechanism(count)
-    for k in range(order + 1):
+    for k in range(START if count > 0 else begin, order + 1):  # answers and mechanism need the first one
         forces_of_order(system, state, series, k, root, closed)
         hold(system, state, unit[0], unknown, inverse, fixed, force[k])
         if count > 0 and k == 0:
@@ -180,7 +186,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
             find_mechanism(system, state, unit[0], unknown, inverse, fixed, ties, force[0], mechanism)
         elif count > 0:
             turn_together(system, state, series, k, pace, ties, answers, mechanism)
-        integrate(system, rates, series, k, pace, root)
+        integrate(system, closed, rates, series, k, pace, root)
     return root
 
 
@@ -325,7 +331,7 @@ def natural_pace(state, series):
 
 
 @always_inlined
-def integrate(system, rates, series, k, pace, root):
+def integrate(system, closed, rates, series, k, pace, root):
     """Compute the coefficients k + 1 of velocities and indentations from coefficients k of forces. (14.1)"""
     w = system.w
     n = len(system.friction)
@@ -333,21 +339,20 @@ def integrate(system, rates, series, k, pace, root):
     source, factor = (k - 1, 2.0 * pace * pace / (k + 1.0)) if root else (k, pace / (k + 1.0))
     filled(v[k + 1], 0.0)
     if source >= 0:
-        for a in range(3 * n):  # W is symmetric, and many forces are zero
-            push = force[source, a]
-            if push == 0.0:
-                continue
-            if 4 * system.filled_count[a] < 3 * n:  # sparse, as for a row of balls
-                for place in range(system.filled_count[a]):
-                    i = system.filled[a, place]
-                    v[k + 1, i] += w[a, i] * push
-                    series.changes[i] = 1
-            else:
-                for i in range(3 * n):
-                    v[k + 1, i] += w[a, i] * push
-                    series.changes[i] = 1
-    for i in range(3 * n):
-        v[k + 1, i] *= factor
+        for j in closed:
+            for a in range(3 * j, 3 * j + 3):  # W is symmetric, and many forces are zero
+                push = factor * force[source, a]
+                if push == 0.0:
+                    continue
+                if 4 * system.filled_count[a] < 3 * n:  # sparse, as for a row of balls
+                    for place in range(system.filled_count[a]):
+                        i = system.filled[a, place]
+                        v[k + 1, i] += w[a, i] * push
+                        series.changes[i] = 1
+                else:
+                    for i in range(3 * n):
+                        v[k + 1, i] += w[a, i] * push
+                        series.changes[i] = 1
     for j in range(n):
         fall = v[source, 3 * j + 2] if source >= 0 else 0.0
         indentation[k + 1, j] = -rates[j] * fall * factor

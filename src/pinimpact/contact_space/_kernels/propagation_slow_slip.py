@@ -124,7 +124,7 @@ def expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
                     system, series, k, stiff, mechanism, least, (k + 1.0) / pace, slow[k + 1], residual[k]
                 )
             assign(slow[k], series.v[k])
-            integrate(system, rates, series, k, pace, False)
+            integrate(system, closed, rates, series, k, pace, False)
         if turn > 1 and residual_at(residual, 1.0) <= ROUNDOFF:
             break
     return pace

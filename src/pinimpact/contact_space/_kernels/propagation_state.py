@@ -115,8 +115,11 @@ def friction_share(system, state, unit, j):
 @inlined
 def stored(system, j, indentation):
     """Return κ δ^(η + 1)/(η + 1), the energy of loading contact j to an indentation δ."""
+    depth = max(indentation, 0.0)
+    if system.exponent == 1.0:
+        return 0.5 * system.stiffness[j] * depth * depth
     order = system.exponent + 1.0
-    return system.stiffness[j] * max(indentation, 0.0) ** order / order
+    return system.stiffness[j] * depth**order / order
 
 
 @inlined
