@@ -11,10 +11,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import pinimpact
 from pinimpact import (
+    Boundary,
     Box,
     Contact,
     InputError,
@@ -29,6 +31,7 @@ from pinimpact import (
 from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import hull
 from pinimpact.robot.shape_pair import shape_pair
+from pinimpact.scene import progress
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 from pinimpact.scene.pairs_apart import PairsApart
@@ -208,6 +211,39 @@ def test_ball_rolls_over_edge_until_it_slips():
     assert q[2] == pytest.approx(0.5 + radius * math.cos(theta), abs=1e-8)
     assert not trajectory.impacts
     assert deepest_penetration(robot, [contact], trajectory) < 1e-8
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+@pytest.mark.parametrize("gained", [progress.GAINED, 0.0])
+def test_rolling_over_an_edge_at_the_least_tolerance(gained, monkeypatch):
+    # dense output within the long step that ends at the edge is less accurate than the step
+    monkeypatch.setattr(progress, "GAINED", gained)
+    mass, radius, speed = 0.7, 0.1, 0.5
+    robot = shaped_body(coal.Sphere(radius), pin.Inertia.FromSphere(mass, radius), name="ball")
+    table = Box(size=(1.0, 1.0, 0.2), center=(0.0, 0.0, -0.1), name="table")
+    scene = Scene(robot, contacts=Contact(geometry="ball", plane=table, friction=0.8))
+    start, v0 = pose(0.45, 0.0, radius), np.array([speed, 0.0, 0.0, 0.0, speed / radius, 0.0])
+    after = 0.02
+    trajectory = simulate(scene, start, v0, 0.1 + after, rtol=1e-12, atol=1e-14, sensitivities=("state",))
+    # from the edge on the ball is a pendulum: 7/5 r² θ'' = g r sin θ
+    pendulum = solve_ivp(
+        lambda t, y: [y[1], G / (1.4 * radius) * np.sin(y[0])],
+        (0.0, after),
+        [0.0, speed / radius],
+        rtol=1e-12,
+        atol=1e-14,
+    )
+    by_place = G / (1.4 * radius) * np.sin(pendulum.y[0, -1]) / speed
+    found = trajectory.sensitivity(0.1 + after)
+    if gained == 0.0:  # time steps that begin at the edge have no exact derivative
+        assert len(trajectory.stepped) == 1
+        assert Boundary.EVENTS_COINCIDE in found.boundary
+        assert found.state[10, 0] == pytest.approx(by_place, rel=0.02)
+        return
+    assert trajectory.stepped == ()
+    assert Boundary.EVENTS_COINCIDE not in found.boundary
+    assert trajectory.v[-1, 4] == pytest.approx(pendulum.y[1, -1], abs=1e-10)
+    assert found.state[10, 0] == pytest.approx(by_place, rel=1e-8)
 
 
 def test_plank_slides_on_frictionless_edge():

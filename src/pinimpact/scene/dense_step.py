@@ -20,6 +20,9 @@ FRICTION = slice(1, 3)
 SLOPES = dense_output.BASIS * np.arange(1.0, 1.0 + len(dense_output.BASIS))
 """(7, 7) Coefficients of the derivatives of the dense output's terms, by powers of θ."""
 
+WHOLE = 0.999
+"""Least covered part of a step that no event ends; less than 1, since the end of a run is rounded."""
+
 
 @dataclass(slots=True, eq=False, repr=False)
 class DenseStep:

@@ -9,16 +9,13 @@ from ..contact_space.simultaneous import LAST
 from ..errors import IrregularMotionError, SimulationError
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.tolerances import PROGRESS, STALLED
-from .dense_step import FRICTION, DenseStep
+from .dense_step import FRICTION, WHOLE, DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
 from .options import Options
 
 MAX_STALLED = 200
 """Number of steps without progress after which a simulation stops."""
-
-WHOLE = 0.999
-"""Least covered part of a step that no event ends; less than 1, since the end of a run is rounded."""
 
 BY_EVENTS = 0.5
 """Fraction of steps that end at events from which on events, and not a control, make the steps short."""
@@ -27,8 +24,9 @@ DRIFTED = 1e4
 """Largest constraint drift in a step, relative to the tolerance of positions: in random scenes the ratio is
 below 2, and about 100 where a joint and a contact constrain nearly the same motion."""
 
-GAINED = 10.0
-"""Largest part of the kinetic energy that friction may add, relative to the relative error of velocities."""
+GAINED = 100.0
+"""Largest part of the kinetic energy that friction may add, relative to the relative error of velocities.
+Where an event cuts a step, the work is that of the dense output, whose error is some ten times as large."""
 
 ROLLING = 2.0
 """Friction of sticking and rolling contacts, relative to the weight plus the forces of controls. Acting over

@@ -23,7 +23,7 @@ from ._kernels.tolerances import LEAST_INTERVAL
 from .collocation import RULES, collocate
 from .control_slopes import HeldForces, forces_by_state, jacobian_of
 from .controls import JointPD
-from .dense_step import DenseStep
+from .dense_step import WHOLE, DenseStep
 from .dynamics import SceneDynamics
 from .events import as_events
 from .forces import ClosedSet
@@ -366,6 +366,8 @@ class Sensitivities:
             saltation.boundary = steps.boundary
             if k == 0:
                 self._flag_touching(struck, steps.modes(taken))
+            elif before.end < before.start + WHOLE * before.h:  # cut by an event
+                saltation.boundary |= Boundary.EVENTS_COINCIDE
             boundary = saltation.boundary
         if self._held is not None:
             self._held.ask(step.start, step.q, step.v, x[: 2 * len(step.v)])
