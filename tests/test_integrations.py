@@ -210,6 +210,26 @@ def test_rows_without_solution_are_nan_and_do_not_affect_others(library):
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
+def test_invalid_rows_of_a_robot_have_no_derivatives_and_do_not_affect_others(library, quadruped):
+    model, data, q, foot = quadruped
+    functions, contact = _functions(library), Contact(foot, Plane(), friction=0.4, restitution=0.3)
+    v = np.zeros(model.nv)
+    v[:3] = 0.3, 0.1, -1.0
+    rows = [np.tile(q, (5, 1)), np.tile(v, (5, 1)), np.full(5, 0.4), np.full(5, 0.3)]
+    rows[0][1, 3:7] *= 1.1  # as after a step along a gradient
+    rows[1][2], rows[2][3], rows[3][4] = np.nan, -0.4, 1.3
+    found = _gradient(
+        library, lambda *given: functions.impact(model, data, *given[:2], contact, *given[2:]).sum(), *rows
+    )
+    expected = pinimpact.impact_derivatives(model, data, q, v, contact)
+    np.testing.assert_allclose(found[1][0], expected.dv_dv.sum(axis=0), rtol=0, atol=1e-12)
+    assert found[2][0] == pytest.approx(expected.dv_dfriction.sum(), abs=1e-12)
+    for gradient in found:
+        assert np.isfinite(gradient[0]).all()
+        assert np.isnan(gradient[1:]).all()
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
 def test_restitution_as_a_function_of_speed(library, quadruped):
     model, data, q, foot = quadruped
 
@@ -231,7 +251,7 @@ def test_restitution_as_a_function_of_speed(library, quadruped):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_bad_input_is_named(library, quadruped):
-    model, data, _, foot = quadruped
+    model, data, q, foot = quadruped
     functions = _functions(library)
     w, v, mu, e = _problems(2, 5)
     single = (jnp if library == "jax" else torch).float32
@@ -240,6 +260,11 @@ def test_bad_input_is_named(library, quadruped):
         functions.solve_impacts(w, convert(v, dtype=single), mu, e)
     with pytest.raises(InputError, match=r"q: shape \(3,\) given"):
         functions.impact(model, data, np.zeros(3), np.zeros(model.nv), Contact(foot, Plane()))
+    at_rest = q, np.zeros(model.nv)
+    with pytest.raises(InputError, match=r"contact: .* is not a Contact"):
+        functions.impact(model, data, *at_rest, [Contact(foot, Plane())])
+    with pytest.raises(pinimpact.UnknownNameError, match="'elbow'"):
+        functions.impact(model, data, *at_rest, Contact(foot, Plane()), locked=["elbow"])
     with pytest.raises(InputError, match=r"leading shapes delassus \(2,\), velocity \(5,\), friction"):
         functions.solve_impacts(w, np.zeros((5, 3)), mu, e)
     with pytest.raises(pinimpact.UnknownNameError, match="law"):

@@ -12,11 +12,11 @@ import pinocchio as pin
 from ..arrays import Array
 from ..contact_space.batch import solve_impacts
 from ..contact_space.laws import law_code
-from ..errors import InputError, LawError, UnstoppableApproachError
+from ..errors import InputError
 from ..robot.batch import impacts
-from ..robot.contact import Contact
+from ..robot.contact import Contact, check_contact, check_held
 from ..robot.derivatives import impact_derivatives
-from ..robot.names import model_of
+from ..robot.names import free_velocities, model_of
 from ..scene.joint_charts import coordinate_rates, joint_table
 
 Of = TypeVar("Of")
@@ -78,8 +78,10 @@ class RobotRows:
         held: Sequence[Contact],
         locked: Sequence[str | int],
     ) -> None:
+        check_contact("contact", contact)  # raises errors here instead of in a callback
         self.model, self.data, self.contact, self.own = model_of(model), data, contact, own
-        self.options: dict[str, Any] = {"held": held, "locked": locked}
+        free_velocities(self.model, locked)
+        self.options: dict[str, Any] = {"held": check_held(held), "locked": locked}
         self.table = joint_table(self.model)
 
     def coefficients(self, friction: Any, restitution: Any) -> tuple[Any, Any]:
@@ -107,13 +109,12 @@ class RobotRows:
         count, nq, nv = len(rows[0]), self.model.nq, self.model.nv
         shapes = (nv,), (nv, nq), (nv, nv), (nv,), (nv,)
         found = tuple(np.full((count, *shape), np.nan) for shape in shapes)
-        for i, (q, v, mu, e) in enumerate(zip(*rows, strict=True)):
+        solved = np.isfinite(self.values(*rows)[0]).all(axis=1)
+        for i in np.flatnonzero(solved).tolist():
+            q, v, mu, e = (row[i] for row in rows)
             restitution = self.contact.restitution if self.own else float(e)
             contact = replace(self.contact, friction=float(mu), restitution=restitution)
-            try:
-                d = impact_derivatives(self.model, self.data, q, v, contact, **self.options)
-            except (UnstoppableApproachError, LawError):
-                continue
+            d = impact_derivatives(self.model, self.data, q, v, contact, **self.options)
             rates = coordinate_rates(self.table, q, nv)
             # left inverse of the orthogonal columns: changes of q off the configuration space have no effect
             by_coordinates = d.dv_dq @ (rates / (rates**2).sum(axis=0)).T
@@ -183,6 +184,7 @@ class RowFunctions(Generic[Of]):
 
         Raises:
             InputError: Single precision, wrong shapes, or a contact without derivatives.
+            UnknownNameError: A joint in `locked` that the model does not have.
         """
         rows = RobotRows(model, data, contact, restitution is None, held, locked)
         (after,) = self._call(rows, q, v, *rows.coefficients(friction, restitution))

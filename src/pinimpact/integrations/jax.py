@@ -2,7 +2,8 @@
 
 They can be transformed by `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jacfwd` and `jax.jacrev`; there are no
 second derivatives. Arguments are broadcast to a common leading shape (...), in double precision. Rows without
-a solution and derivatives that do not exist (`Boundary`) are NaN. (docs/derivatives.md, 7)
+a solution and derivatives that do not exist (`Boundary`) are NaN. In forward mode one of them makes the whole
+row NaN, as 0 · NaN is NaN; reverse mode returns the others. (docs/derivatives.md, 7)
 """
 
 from __future__ import annotations
