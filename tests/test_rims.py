@@ -9,6 +9,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 
 import pinimpact
 from pinimpact import Contact, InputError, Plane, Scene, SimulationError
@@ -214,6 +215,62 @@ def test_coin_that_spins_on_its_edge_falls(scheme):
     ]
     # in time steps the points of the circle replace the lowest point as it turns by more than a quarter
     assert min(heights) >= -(1e-4 if scheme == "time-stepping" else 1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3, 6])
+def test_disc_that_rocks_past_flat_keeps_its_energy_in_any_axes(seed):
+    """Its lowest point runs around the rim within some 1e-10 s; without friction no force does work."""
+    turn = np.eye(3)
+    if seed > 0:
+        turn = pin.Quaternion(np.random.default_rng(seed).normal(size=4)).normalized().matrix()
+    robot = shaped_body(coal.Cylinder(RADIUS, 0.02), pin.Inertia.FromCylinder(1.0, RADIUS, 0.02))
+    robot.model.gravity.linear = turn @ [0.0, 0.0, -G]
+    scene = Scene(robot, contacts=Contact(geometry="thing_0", plane=Plane(normal=tuple(turn[:, 2]))))
+    lean = pin.utils.rotate("y", 2e-9)
+    q0 = np.array([*(turn @ [0.0, 0.0, 0.3]), *pin.Quaternion(turn @ lean).coeffs()])
+    v0 = np.array([0.0, 0.0, 0.0, *(lean.T @ np.array([10.0, 0.0, 3.0]) / np.sqrt(0.1))])
+    trajectory = pinimpact.simulate(scene, q0, v0, 0.4, scheme="event-driven", rtol=1e-9, atol=1e-11)
+    assert len(trajectory.impacts) == 2
+    since = trajectory.impacts[-1].time
+    energy = trajectory.energy
+    total = (energy.kinetic + energy.potential)[trajectory.t > since]
+    assert np.ptp(total) <= 1e-6 * total[0]
+    # the height of a symmetric top on its rim, with the constants of its motion just after the impact
+    q, v = trajectory.at(since)
+    height = _height_of_top(turn, q, v, 0.4 - since)
+    assert (turn.T @ trajectory.q[-1, :3])[2] == pytest.approx(height, abs=1e-5)
+
+
+def _height_of_top(turn, q, v, duration):
+    """Return the height of the disc of 1 kg after a time on its rim, without friction."""
+    inertia = pin.Inertia.FromCylinder(1.0, RADIUS, 0.02).inertia
+    about, along = inertia[0, 0], inertia[2, 2]
+    rotation = turn.T @ pin.Quaternion(q[3:7]).matrix()
+    omega, axis = rotation @ v[3:], rotation[:, 2] * np.sign(rotation[2, 2])
+    angle = np.arccos(axis[2])
+    momentum = (about * (omega - (omega @ axis) * axis) + along * (omega @ axis) * axis)[2]
+    spin = along * (omega @ axis)
+    rate = -np.cross(omega, axis)[2] / np.sin(angle)
+
+    def slope(t, y):
+        s, c = np.sin(y[0]), np.cos(y[0])
+        z_1, z_2 = RADIUS * c - 0.01 * s, -0.01 * c - RADIUS * s
+        leads = (momentum - spin * c) / (about * s)
+        force = G * z_1 + leads * spin - about * leads**2 * c / s
+        return [y[1], (-force - z_1 * z_2 * y[1] ** 2) / (about + z_1**2)]
+
+    angle = solve_ivp(slope, (0.0, duration), [angle, rate], "DOP853", rtol=1e-11, atol=1e-13).y[0, -1]
+    return 0.01 * np.cos(angle) + RADIUS * np.sin(angle)
+
+
+def test_spinning_can_that_falls_flat_touches_at_all_points():
+    """Its gaps differ by the tolerance when it lies down, and the largest is above it."""
+    robot = shaped_body(coal.Cylinder(RADIUS, 0.2), pin.Inertia.FromCylinder(1.0, RADIUS, 0.2))
+    scene = Scene(robot, contacts=Contact(geometry="thing_0", plane=FLOOR))
+    q0, v0 = placed(np.eye(3), 0.7500000000000001), np.zeros(6)  # a bounce earlier, the last digits decide
+    v0[[0, 4, 5]] = 0.31622776601683794, 9.486832980505138, 31.622776601683793
+    trajectory = pinimpact.simulate(scene, q0, v0, 0.52)
+    assert len({one.source for one in trajectory.modes if one.end == trajectory.t[-1]}) == 16
 
 
 def test_cone_stands_on_its_base_and_cannot_on_its_apex():

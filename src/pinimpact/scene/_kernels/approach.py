@@ -34,7 +34,7 @@ def fastest_approach(work, q, v, starting, parting, where, slow):
 
     If a gap closes now, approaching contacts whose gaps are as small, up to tolerance and constraint drift,
     arrive with it: gaps are not known more accurately. An example are the far corners of a box that turns
-    about an edge onto its face.
+    about an edge onto its face. Likewise, contacts whose gaps hardly change touch with active ones.
 
     Args:
         work: The workspace.
@@ -64,7 +64,7 @@ def fastest_approach(work, q, v, starting, parting, where, slow):
             continue
         if rate > parting:
             where[i] = APART
-        elif where[i] == APART and (gap <= near or modes[i] != FREE or touches(work, gap, rate)):
+        elif where[i] == APART and (gap <= near or modes[i] != FREE or touches(work, gap - drift, rate)):
             where[i] = ARRIVING if starting else TOUCHING
         if where[i] == APART and gap <= together and rate < -work.least_approach:
             where[i] = ARRIVING

@@ -446,8 +446,9 @@ def set_forces(work, powers):
             if mode[i] == STICK:
                 tangent = math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2)
                 margin = min(margin, min(force[i, 2], mu[i] * force[i, 2] - tangent) + tolerance[m - 1])
-        for d in range(3):
+        for d in range(2):  # that of normal forces is an error of the step, which the audit is to show
             friction_power += force[i, d] * velocity[i, d]
+        for d in range(3):
             surface_power += force[i, d] * surface[i, d]
     for i in range(len(lower)):
         scalar[i] = work.joint_metres[work.scalar_velocity[i]] * solution[m]
