@@ -143,7 +143,7 @@ NUMBERS = [
     (many.LEAST_NUDGE, 0.1 * 2.0**-26, r"\tfrac1{10}2^{-26}\max|v_t|"),
     (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
     (jam_growth.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
-    (progress.GAINED, 100.0, r"$100\,(\mathrm{rtol} + \mathrm{atol}/|v|)$ of the kinetic energy"),
+    (progress.GAINED, 10.0, r"$10\,(\mathrm{rtol} + \mathrm{atol}/|v|)$ of the kinetic energy"),
 ]
 """Constants of the code, and their places in the theory page."""
 

@@ -12,7 +12,7 @@ from .tolerances import LOCAL
 
 
 def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Array) -> Array:
-    """Return the normal (3,) of contact of two shapes that have just met.
+    """Return the normal (3,) of contact of two shapes that have just met; `normal` itself unless edges meet.
 
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
     directions separate the shapes. Of these it is the one closest to the direction of approach, as for edges
@@ -24,6 +24,8 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: A
         normal: (3,) one of the separating directions, from B to A.
         approach: (3,) velocity of B relative to A at the point of contact [m/s].
     """
+    if a.shape.radius + b.shape.radius > 0.0:
+        return normal
     directions = np.array([one.normal for one in ties(a, b, normal)])
     if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other
         return normal

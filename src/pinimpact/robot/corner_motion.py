@@ -100,7 +100,7 @@ def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> li
     """
     places = closest_points(robot, data, q, pair)
     found, placed = [], PlacedRobot(robot, data, q)
-    for touch, instant, lasting, _ in (place[0] for place in places if len(place) == 1):
+    for touch, instant, lasting, *_ in (place[0] for place in places if len(place) == 1):
         if lasting is None or touch.kind not in CODES:
             continue
         n = placed.geometry(instant).axes[2]

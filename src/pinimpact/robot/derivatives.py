@@ -300,9 +300,10 @@ def _of_shape(robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: C
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     if is_pair(robot, contact):
-        points = [known(place)[1:] for place in closest_points(robot, data, q, shape_pair(robot, contact))]
+        pair = shape_pair(robot, contact)
+        points = [known(place)[1:] for place in closest_points(robot, data, q, pair, v)]
     else:
-        points = [(tip, tip, False) for tip in touching_tips(robot, data, q, contact)]
+        points = [(tip, tip, False, False) for tip in touching_tips(robot, data, q, contact)]
     if len(points) != 1:
         raise InputError(
             f"contact: {contact.label!r} touches at {len(points)} points at this q; derivatives are for "
@@ -317,18 +318,21 @@ def derivatives_at_point(
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
-    point: tuple[Contact, Contact | None, bool],
+    point: tuple[Contact, Contact | None, bool, bool],
     held: tuple[Contact, ...],
     locked: Sequence[str | int],
     by_q: bool = True,
 ) -> Found:
-    """Return `impact_derivatives` for `instant`, `lasting` and `swapped` of a `PointContact`.
+    """Return `impact_derivatives` for `instant`, `lasting`, `swapped` and `met` of a `PointContact`.
 
     The motion of the contact point with q follows from `lasting`.
     """
-    (instant, lasting, swapped), rest = point, (held, locked)
+    (instant, lasting, swapped, met), rest = point, (held, locked)
     block, boundary, kinks = _differentiated(model, data, q, v, instant, *rest, by_q and lasting is instant)
     of_q = block[:, : len(block) - 3]
+    if met:
+        block[:, len(of_q[0]) : 2 * len(of_q[0])] = np.nan
+        boundary |= Boundary.FEATURES_MEET
     if by_q and lasting is None:
         of_q[:] = np.nan
         boundary |= Boundary.FEATURES_MEET

@@ -301,7 +301,7 @@ def _general_impact(
     """Compute the impact at several contacts, of a collision shape, or with options that the kernel lacks."""
     _check_options(asked)
     if isinstance(contact, Sequence) and not isinstance(contact, str):
-        points = [point for one in contact for point in _points(robot, data, q, one)]
+        points = [point for one in contact for point in _points(robot, data, q, v, one)]
         return impact_at_many(model, data, q, v, points, asked)
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
@@ -310,18 +310,19 @@ def _general_impact(
             check_rims(PlacedRobot(model, data, q), (contact,))
         held_at_rest(model, data, q, v, contact, asked.held)
         return impact_in_steps(model, data, q, v, contact, asked)
-    tips = _points(robot, data, q, contact)
+    tips = _points(robot, data, q, v, contact)
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
     one_or_many: Any = tips[0] if len(tips) == 1 else tips
     return impact(robot, data, q, v, one_or_many, *asked[:-1], **asked.more)
 
 
-def _points(robot: Any, data: pin.Data, q: ArrayLike, contact: Any) -> list[Contact]:
+def _points(robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Any) -> list[Contact]:
     """Return the contacts of single points of a collision shape; any other contact unchanged."""
     if not isinstance(contact, Contact) or contact.geometry is None:
         return [contact]
-    nearest = touching_points if is_pair(robot, contact) else touching_tips
-    return nearest(robot, data, q, contact)
+    if is_pair(robot, contact):
+        return touching_points(robot, data, q, finite_array("v", v, (model_of(robot).nv,)), contact)
+    return touching_tips(robot, data, q, contact)
 
 
 def impact_by_pinocchio(

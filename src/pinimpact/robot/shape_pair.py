@@ -19,10 +19,11 @@ from ..geometry._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
 from ..geometry.convex_pair import CODES, Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
+from ..geometry.meeting_edges import normal_of_meeting
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
-from ..geometry.tolerances import NEAREST
+from ..geometry.tolerances import CLOSE, NEAREST
 from .contact import Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
@@ -114,6 +115,7 @@ class PointContact(NamedTuple):
     instant: Contact  # the contact now, a point of A on a plane attached to B: its Jacobian is correct
     lasting: Contact | None  # as long as these features touch; None for two corners, or a corner and an edge
     swapped: bool  # whether the point of `lasting` belongs to B, so that its force acts on B
+    met: bool = False  # whether edges or corners have just met, so that the normal depends on the velocity
 
 
 def point_contact(
@@ -222,22 +224,37 @@ class _Side:
         }
 
 
-def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) -> list[list[PointContact]]:
+def closest_points(
+    robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair, v: ArrayLike | None = None
+) -> list[list[PointContact]]:
     """Return the closest points of two shapes at q (nq,), each as contacts of all features there.
 
+    If the velocity v (nv,) is given, edges and corners in contact meet with it. (theory.md, 15.3)
     Changes ``data.oMi`` and ``data.liMi``.
     """
-    PlacedRobot(robot, data, q)
+    robot_placed = PlacedRobot(robot, data, q)
     placed = pair.placed(data)
-    found = gap(*placed)
-    tolerance = NEAREST * (pair.a.shape.reach + pair.b.shape.reach) + abs(found.value)
-    return [
-        [
-            point_contact(pair, data, placed, found.normal, one, pair.basis)
-            for one in at_one_place(touch, *placed, found.normal, tolerance)
+    value, normal = gap(*placed)
+    size = pair.a.shape.reach + pair.b.shape.reach
+    tolerance = NEAREST * size + abs(value)
+    touching, met = touches(*placed, normal, tolerance), False
+    if v is not None and touching and abs(value) <= CLOSE * size:
+        now = [
+            robot_placed.geometry(point_contact(pair, data, placed, normal, touch, pair.basis).instant)
+            for touch in touching
         ]
-        for touch in touches(*placed, found.normal, tolerance)
+        approach = -np.mean([one.velocity(v) @ one.axes for one in now], axis=0)
+        of_meeting = normal_of_meeting(*placed, normal, approach)
+        met, normal = of_meeting is not normal, of_meeting
+        touching = touches(*placed, normal, tolerance) if met else touching
+    every = [
+        [
+            point_contact(pair, data, placed, normal, one, pair.basis)
+            for one in at_one_place(touch, *placed, normal, tolerance)
+        ]
+        for touch in touching
     ]
+    return [[one._replace(lasting=None, met=True) for one in place] for place in every] if met else every
 
 
 def known(place: list[PointContact]) -> PointContact:
@@ -246,19 +263,21 @@ def known(place: list[PointContact]) -> PointContact:
 
 
 def contact_now(
-    model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact, pair: ShapePair | None
-) -> tuple[Contact, Contact | None, bool]:
-    """Return `instant`, `lasting` and `swapped` of a contact at q (nq,), as in `PointContact`.
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, pair: ShapePair | None
+) -> tuple[Contact, Contact | None, bool, bool]:
+    """Return `instant`, `lasting`, `swapped`, `met` of a contact at q (nq,) and v (nv,), see `PointContact`.
 
     `pair` are its two shapes, if any. `lasting` is None if they touch at several places.
     """
     if pair is None:
-        return contact, contact, False
-    places = closest_points(model, data, q, pair)
-    _, instant, lasting, swapped = known(places[0])
-    return instant, lasting if len(places) == 1 else None, swapped
+        return contact, contact, False, False
+    places = closest_points(model, data, q, pair, v)
+    _, instant, lasting, swapped, met = known(places[0])
+    return instant, lasting if len(places) == 1 else None, swapped, met
 
 
-def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
+def touching_points(
+    robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact
+) -> list[Contact]:
     """Return the contacts of `closest_points` at this instant, for a contact of two shapes."""
-    return [place[0].instant for place in closest_points(robot, data, q, shape_pair(robot, contact))]
+    return [place[0].instant for place in closest_points(robot, data, q, shape_pair(robot, contact), v)]

@@ -11,8 +11,9 @@ import pinocchio as pin
 
 from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.box_patch import MOST
-from ..geometry._kernels.constants import KIND, POINT, RADIUS, SIZE, SPHERE, TIP
+from ..geometry._kernels.constants import KIND, PLANE, POINT, RADIUS, SIZE, SPHERE, TIP
 from ..geometry.convex_pair import Touch
+from ..geometry.meeting_edges import normal_of_meeting
 from ..geometry.patch import Patch, patch
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
@@ -71,6 +72,7 @@ class FacingShapes:
 
     Attributes:
         boxes: Whether there are pairs of boxes, so that `place` evaluates the kinematics of the workspace.
+        met: Whether edges or corners met at the last impact.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class FacingShapes:
         self._dynamics, self._work = dynamics, dynamics.work
         self._near, self._gravity = near, float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
+        self.met = False
         work, every = self._work, shapes.places
         self._blanks, self._kept = shapes.blanks, shapes.reserved
         for pair, numbers in every:
@@ -152,6 +155,7 @@ class FacingShapes:
                 Negative: not for impacts.
         """
         self._end_impact()
+        self.met = False
         near = self._near + 8.0 * self._gravity * h * h
         if self.boxes:
             face_boxes(
@@ -164,9 +168,15 @@ class FacingShapes:
         if facing or self._pairs:
             forward_kinematics(self._model, self._data, q, v)
         for p in facing:
-            for k in range(int(found.used[p])):
-                ends = found.points[p, k], found.others[p, k]
-                self._strike(self._box_pairs[p], self._ranges[p, 2] + k, found.normals[p], ends)
+            pair, count = self._box_pairs[p], int(found.used[p])
+            met = self._meeting(pair, found.normals[p], found.points[p, :count])
+            if met is not None:
+                found.normals[p], found.kinds[p] = met, PLANE
+            for k in range(count):
+                i, ends = self._ranges[p, 2] + k, (found.points[p, k], found.others[p, k])
+                if met is not None:
+                    self._write(pair, i, (met, *ends, PLANE, found.edges[p]))
+                self._strike(pair, i, found.normals[p], ends)
         if not self._pairs:
             return
         joints = self._spheres.joints[self._spheres.sides]
@@ -181,8 +191,12 @@ class FacingShapes:
                     self._strike(places.pair, i, corner.normal, (corner.point, corner.other))
                 continue
             within = touching if touching >= 0.0 else self._within[p]
-            facing_patch = patch(*places.pair.placed(self._data), within) if close[p] else None
-            self._fill(places, facing_patch, touching >= 0.0)
+            faces = patch(*places.pair.placed(self._data), within) if close[p] else None
+            if faces is not None and touching >= 0.0:
+                met = self._meeting(places.pair, faces.normal, faces.points)
+                if met is not None:
+                    faces = faces._replace(normal=met, kinds=np.full_like(faces.kinds, PLANE))
+            self._fill(places, faces, touching >= 0.0)
 
     def _may_touch(self, h: float, near: float, touching: float) -> Bools:
         """Return which pairs (p,) that are not both boxes may touch, by the spheres that enclose the shapes.
@@ -223,25 +237,44 @@ class FacingShapes:
 
     def _fill(self, places: _Places, found: Patch | None, contacts: bool) -> None:
         """Assign the corners of a patch to the contacts of a pair, as the kernel does for boxes."""
-        work, data, pair, count = self._work, self._data, places.pair, 0
+        work, pair, count = self._work, places.pair, 0
         if found is not None:
             count = min(len(found.gaps), len(places.numbers))
             chosen = np.argsort(found.gaps, kind="stable")[:count]
-            tip, base = (
-                np.concatenate([pose.rotation.T.ravel(), pose.translation])
-                for pose in (data.oMi[pair.a.joint], data.oMi[pair.b.joint])
-            )
-            radii = pair.a.shape.radius, pair.b.shape.radius
             for i, k in zip(places.numbers, np.sort(chosen).tolist(), strict=False):
                 ends = found.points[k], found.others[k]
                 given = found.normal, *ends, int(found.kinds[k]), found.edges
-                fill_contact(work.contact_constants[i], tip, base, *given, *radii)
+                self._write(pair, i, given)
                 places.corners[i] = Corner(pair, *given)
                 if contacts:
                     self._strike(pair, i, found.normal, ends)
         for i in places.numbers[count : places.used]:
             work.contact_constants[i] = self._blanks[i]
         places.used = count
+
+    def _write(self, pair: ShapePair, i: int, given: tuple[Array, Array, Array, int, Array]) -> None:
+        """Fill the constants of contact i from its normal, points, kind and edges, see `fill_contact`."""
+        tip, base = (
+            np.concatenate([pose.rotation.T.ravel(), pose.translation])
+            for pose in (self._data.oMi[pair.a.joint], self._data.oMi[pair.b.joint])
+        )
+        radii = pair.a.shape.radius, pair.b.shape.radius
+        fill_contact(self._work.contact_constants[i], tip, base, *given, *radii)
+
+    def _meeting(self, pair: ShapePair, normal: Array, points: Array) -> Array | None:
+        """Return the normal (3,) of edges or corners that meet at some points, None for other contacts.
+
+        `normal` (3,) is that of the patch; the velocities are those of `_data`. (theory.md, 15.3)
+        """
+        if not 0 < len(points) <= 2:
+            return None
+        one, other = (self._data.oMi[end.joint].act(self._data.v[end.joint]) for end in (pair.a, pair.b))
+        motion = (other - one).vector
+        approach = motion[:3] + np.cross(motion[3:], points.mean(axis=0))
+        found = normal_of_meeting(*pair.placed(self._data), normal, approach)
+        met = found is not normal
+        self.met |= met
+        return found if met else None
 
     def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:
         """Replace a contact of `dynamics.contacts` by that of two points, for an impact."""

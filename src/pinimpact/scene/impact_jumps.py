@@ -144,15 +144,16 @@ class ImpactJumps:
         """
         contact, nv = self.dynamics.contacts[number], len(record.v_before)
         pair = None if contact.pair is None else self.pairs[contact.pair]
-        contact, lasting, swapped = contact_now(self.model, self.data, record.q, contact, pair)
+        now = self.model, self.data, record.q, record.v_before
+        contact, lasting, swapped, met = contact_now(*now, contact, pair)
         rests = resting and contact.restitution != 0.0
         other: dict[str, Any] = {"restitution": 0.0} if resting else {}
         other |= {"law": law} if law is not None else {}
         if other:
             contact = replace(contact, **other)
             lasting = lasting and replace(lasting, **other)
-        point, rest = (contact, lasting, swapped), (self.held, self.locked)
-        d = derivatives_at_point(self.model, self.data, record.q, record.v_before, point, *rest)
+        point, rest = (contact, lasting, swapped, met), (self.held, self.locked)
+        d = derivatives_at_point(*now, point, *rest)
         matrices = contact_matrices(self.model, self.data, record.q, contact)
         by_state, guard = d.block[:nv, : 2 * nv].copy(), matrices.jacobian[2]
         (by_friction, by_restitution), after = d.block[:nv, 2 * nv + FRICTION :][:, :2].T, d.block[:nv, -1]

@@ -24,9 +24,8 @@ DRIFTED = 1e4
 """Largest constraint drift in a step, relative to the tolerance of positions: in random scenes the ratio is
 below 2, and about 100 where a joint and a contact constrain nearly the same motion."""
 
-GAINED = 100.0
-"""Largest part of the kinetic energy that friction may add, relative to the relative error of velocities.
-Where an event cuts a step, the work is that of the dense output, whose error is some ten times as large."""
+GAINED = 10.0
+"""Largest part of the kinetic energy that friction may add, relative to the relative error of velocities."""
 
 ROLLING = 2.0
 """Friction of sticking and rolling contacts, relative to the weight plus the forces of controls. Acting over

@@ -263,7 +263,7 @@ class ShapeWatch(TouchingPoints):
         self, watched: Watched, step: DenseStep, t: float, normal: Array, touching: list[Touch]
     ) -> Array:
         """Return the normal of a pair of shapes that meets at a time [s]; see `normal_of_meeting`."""
-        if watched.pair.a.shape.radius + watched.pair.b.shape.radius > 0.0 or not touching:
+        if not touching:
             return normal
         now, place = self._at(watched, step)(t), np.mean([touch.point for touch in touching], axis=0)
         motion = now.velocity_b - now.velocity_a
