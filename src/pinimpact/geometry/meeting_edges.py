@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .._numeric.tolerances import ROUNDING
@@ -11,7 +13,7 @@ from .convex_shape import PlacedShape
 from .tolerances import LOCAL
 
 
-def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Array) -> Array:
+def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Callable[[], Array]) -> Array:
     """Return the normal (3,) of contact of two shapes that have just met; `normal` itself unless edges meet.
 
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
@@ -22,7 +24,7 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: A
         a: The first shape, A.
         b: The second shape, B.
         normal: (3,) one of the separating directions, from B to A.
-        approach: (3,) velocity of B relative to A at the point of contact [m/s].
+        approach: Returns the velocity (3,) of B relative to A at the point of contact [m/s].
     """
     if a.shape.radius + b.shape.radius > 0.0:
         return normal
@@ -31,9 +33,10 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: A
         return normal
     from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
 
-    weights, _ = nnls(directions.T, approach)
+    speed = approach()
+    weights, _ = nnls(directions.T, speed)
     found = weights @ directions
     length = float(np.linalg.norm(found))
-    if length <= ROUNDING * float(np.linalg.norm(approach)):
+    if length <= ROUNDING * float(np.linalg.norm(speed)):
         return normal
     return np.asarray(found / length)

@@ -239,11 +239,12 @@ def closest_points(
     tolerance = NEAREST * size + abs(value)
     touching, met = touches(*placed, normal, tolerance), False
     if v is not None and touching and abs(value) <= CLOSE * size:
-        now = [
-            robot_placed.geometry(point_contact(pair, data, placed, normal, touch, pair.basis).instant)
-            for touch in touching
-        ]
-        approach = -np.mean([one.velocity(v) @ one.axes for one in now], axis=0)
+
+        def approach() -> Array:
+            points = (point_contact(pair, data, placed, normal, touch, pair.basis) for touch in touching)
+            now = [robot_placed.geometry(point.instant) for point in points]
+            return -np.mean([one.velocity(v) @ one.axes for one in now], axis=0)
+
         of_meeting = normal_of_meeting(*placed, normal, approach)
         met, normal = of_meeting is not normal, of_meeting
         touching = touches(*placed, normal, tolerance) if met else touching

@@ -268,9 +268,13 @@ class FacingShapes:
         """
         if not 0 < len(points) <= 2:
             return None
-        one, other = (self._data.oMi[end.joint].act(self._data.v[end.joint]) for end in (pair.a, pair.b))
-        motion = (other - one).vector
-        approach = motion[:3] + np.cross(motion[3:], points.mean(axis=0))
+
+        def approach() -> Array:
+            data, ends = self._data, (pair.a, pair.b)
+            one, other = (data.oMi[end.joint].act(data.v[end.joint]) for end in ends)
+            motion = (other - one).vector
+            return np.asarray(motion[:3] + np.cross(motion[3:], points.mean(axis=0)))
+
         found = normal_of_meeting(*pair.placed(self._data), normal, approach)
         met = found is not normal
         self.met |= met

@@ -267,7 +267,7 @@ class ShapeWatch(TouchingPoints):
             return normal
         now, place = self._at(watched, step)(t), np.mean([touch.point for touch in touching], axis=0)
         motion = now.velocity_b - now.velocity_a
-        return normal_of_meeting(now.a, now.b, normal, motion[:3] + cross(motion[3:], place))
+        return normal_of_meeting(now.a, now.b, normal, lambda: motion[:3] + cross(motion[3:], place))
 
     def _slack(self, watched: Watched, placed: Placed) -> float:
         """Return the gap up to which corners count as touching [m]: the tolerance or the constraint drift."""
