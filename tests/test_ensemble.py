@@ -593,6 +593,30 @@ def test_rows_of_reduce_are_numbers_or_texts(what, status, match):
     assert all(re.search(match, text) for text in found.columns["message"])
 
 
+def _direction(trajectory, other):
+    """Return in which direction the mass moves: "down", `other`, or an error."""
+    v = trajectory.v[-1, 0]
+    if v > 0.4:
+        raise ValueError("too fast")
+    return {"direction": "down" if v < 0 else other}
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 12])
+@pytest.mark.parametrize("files", [False, True])
+def test_kinds_of_columns_do_not_depend_on_chunks(chunk, files, tmp_path, monkeypatch):
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", chunk)
+    with ThreadPoolExecutor(2) as pool:
+        how = {"out": tmp_path / "study"} if files else {"executor": pool}
+        found = _run(reduce=functools.partial(_direction, other="up"), **how)
+        speeds = _run().columns["v.rail"]
+        wanted = ["" if v > 0.4 else "down" if v < 0 else "up" for v in speeds]
+        assert {*wanted} == {"", "down", "up"}
+        assert found.columns["direction"].tolist() == wanted
+        how = {"out": tmp_path / "mixed"} if files else {"executor": pool}
+        with pytest.raises(InputError, match="reduce: column 'direction' mixes text and numbers"):
+            _run(reduce=functools.partial(_direction, other=1), **how)
+
+
 class _Counting:
     """A sampled control whose force increases with each call."""
 

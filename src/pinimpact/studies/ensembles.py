@@ -15,6 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from inspect import signature
+from itertools import chain
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from ..scene.simulation import INTERRUPTED, SCHEMES, simulate
 from ..scene.trajectory import Trajectory
 from .ensemble_result import Ensemble
 from .sampling import Sampling
-from .study_folder import Columns, StudyFolder, joined
+from .study_folder import Columns, StudyFolder, joined, of_one_kind
 
 CHUNK_SECONDS = 2.0
 """Target processor time of a chunk: long relative to the overhead of a task, short if it is lost."""
@@ -208,7 +209,8 @@ def ensemble(
         An `Ensemble`, with columns for the parameters and the rows of `reduce`.
 
     Raises:
-        InputError: Invalid numbers or distributions; a scene that cannot be pickled; another study in `out`.
+        InputError: Invalid numbers or distributions; a scene that cannot be pickled; another study in `out`;
+            a `reduce` that returns text by a name in some rows and numbers in others.
         UnknownNameError: A parameter that does not exist.
         SimulationError: Worker processes died again and again, or the executor failed; the message names the
             samples in question.
@@ -220,15 +222,14 @@ def ensemble(
     )
     if executor is not None:
         _check_pickles(task)
-    folder, found = None, {}
+    folder, known, found, done = None, {}, {}, 0
     if out is not None:
         settings = {"duration": duration, "options": options, "reduce": reduce}
         folder = StudyFolder(out, sampling, settings, resume)
-        found = folder.read()
-    pieces = _Pieces({first: len(columns["sample"]) for first, columns in found.items()}, sampling.samples)
-    done = sum(len(columns["sample"]) for columns in found.values())
-    for first, columns in _finished(task, pieces, executor):
-        if folder is not None:
+        known = folder.read()
+    pieces = _Pieces({first: len(columns["sample"]) for first, columns in known.items()}, sampling.samples)
+    for first, columns in of_one_kind(chain(known.items(), _finished(task, pieces, executor))):
+        if folder is not None and first not in known:
             folder.write(first, columns)
         found[first] = columns
         done += len(columns["sample"])
