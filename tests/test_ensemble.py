@@ -399,6 +399,22 @@ def test_sobol_indices_against_closed_form():
         _run().sobol_indices("v.rail")
 
 
+@pytest.mark.parametrize("samples", [1, 4, 5])
+def test_few_samples_have_sobol_indices_with_intervals(samples, tmp_path):
+    over = {"v0:rail": stats.uniform(-2.0, 1.0), "restitution": stats.uniform(0.2, 0.6)}
+    found = ensemble(_scene(), [0.0], [0.0], None, over=over, samples=samples, design="saltelli")
+    v = found.columns["v.rail"]
+    assert len(v) == 8  # two base samples for A, for B, and for A with each column of B
+    a, b, *mixed = v.reshape(4, 2)
+    spread = np.r_[a, b].var()
+    indices = found.facts()["sobol_indices"]["v.rail"]
+    for name, ab in zip(found.parameters, mixed, strict=True):  # Saltelli et al. (2010), Table 2 (f)
+        total = indices[name]["total"]
+        assert total["value"] == pytest.approx(((a - ab) ** 2).mean() / 2 / spread, rel=1e-12)
+        assert total["low"] <= total["value"] <= total["high"]
+    found.save_summary(tmp_path / "summary.html")
+
+
 @pytest.mark.parametrize("design", ["sobol", "halton", "saltelli"])
 def test_independent_numbers_of_one_distribution(design):
     """They are drawn as those of single distributions are."""

@@ -190,7 +190,7 @@ def ensemble(
             what is added to the start, in the tangent space, (nv,) numbers of a multivariate distribution;
             "q0:NAME", "v0:NAME" one of them, by its name in ``trajectory.coordinates[1]``. A tuple of keys
             for several numbers of one distribution.
-        samples: Number of samples.
+        samples: Number of samples; "saltelli" rounds it up to 2, 4, 8, … times d + 2, for d parameters.
         seed: Seed of all draws.
         design: "random"; "sobol" or "halton", low-discrepancy sequences of `scipy.stats.qmc`; "saltelli", for
             `Ensemble.sobol_indices`. All but the first need distributions with ``ppf``, of independent
