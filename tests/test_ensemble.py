@@ -352,6 +352,16 @@ def test_single_impacts_against_closed_form():
     assert middle.low < middle.value < middle.high
 
 
+def test_columns_of_parameters_are_their_draws():
+    """Also of those that do not act, because a parameter of the only contact overrides them."""
+    over = {"friction:tip": stats.uniform(0.1, 0.2), "friction": stats.uniform(0.5, 0.4)}
+    drawn = ensemble(_scene(), [0.0], [-1.0], 0.01, over=over, samples=5, seed=3).columns
+    found = ensemble(_scene(), [0.0], [-1.0], None, over=over, samples=5, seed=3).columns
+    for name in over:
+        np.testing.assert_array_equal(found[name], drawn[name])
+        assert ((over[name].support()[0] <= found[name]) & (found[name] <= over[name].support()[1])).all()
+
+
 def test_quantiles_with_infinite_values():
     """A mass with v ~ N(0, 1) m/s upwards falls by h = 0.1 m in a time of (v + √(v² + 2 g h))/g."""
 

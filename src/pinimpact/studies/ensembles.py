@@ -70,9 +70,10 @@ class _Task:
             found = self._impacts(drawn)
         else:
             found = _columns([self._row(first + i, numbers) for i, numbers in enumerate(drawn)])
-        index = {"sample": np.arange(first, first + count)}
-        columns = index | dict(zip(self.sampling.names, drawn.T.copy(), strict=True)) | found
-        return columns, time.thread_time() - began
+        columns = {"sample": np.arange(first, first + count)}
+        # they precede results, which may have some of their names
+        columns |= dict(zip(self.sampling.names, drawn.T.copy(), strict=True))
+        return columns | found | columns, time.thread_time() - began
 
     def trajectory(self, numbers: Array) -> Trajectory:
         """Return the run of a sample; errors as in `simulate`."""
