@@ -1,6 +1,7 @@
 """Ensembles: draws, independence of chunks and workers, lost workers, statistics, errors."""
 
 import functools
+import html
 import itertools
 import json
 import os
@@ -470,6 +471,22 @@ def test_summary_page(tmp_path):
         assert float(total.split()[0]) == pytest.approx(indices.total_order[k], rel=1e-3)
     assert page.count("data:image/png;base64,") == 1
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+
+
+TEXT = "<small></small><script>alert(1)</script> & <b>"
+
+
+def _injected(trajectory):
+    return {TEXT: TEXT, f"x{TEXT}": 1.0}
+
+
+def test_names_and_values_are_text_in_the_summary_page(tmp_path):
+    page = _run(3, reduce=_injected).save_summary(tmp_path / "summary.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    cells = [html.unescape(cell) for row in _tables(page) for cell in row]
+    assert cells.count(TEXT) == 2
+    assert cells.count(f"x{TEXT}") == 1
+    assert "100 (43.85 to 100)" in cells  # Wilson's interval for 3 of 3: from n / (n + 1.96²)
 
 
 def run_command(*options):
