@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 import warnings
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -23,6 +24,7 @@ import pinimpact
 from pinimpact.robot.matrices import contact_geometry
 from pinimpact.visual.browser import find_browser, open_page
 from pinimpact.visual.collada import NAMESPACE, for_viewer
+from pinimpact.visual.video import _write_gif
 
 from .scene_models import shaped_body
 
@@ -646,6 +648,26 @@ def test_film_as_gif(fall, tmp_path: Path) -> None:
     assert np.abs(first - last).mean() > 1.0
     if shutil.which("ffmpeg"):
         assert shown.video(tmp_path / "fall.mp4", rate=10, size=(320, 240)).stat().st_size > 1000
+
+
+@pytest.mark.parametrize("rate", [7.0, 15.0, 25.0, 26.0, 30.0, 40.0, 50.0])
+def test_frames_of_gif_are_shown_at_their_times(rate: float, tmp_path: Path) -> None:
+    from PIL import Image, ImageSequence
+
+    frames = []
+    for k in range(61):
+        file = BytesIO()
+        picture = Image.new("RGB", (61, 8))
+        picture.putpixel((k, 4), (255, 255, 255))
+        picture.save(file, "png")
+        frames.append(file.getvalue())
+    _write_gif(frames, tmp_path / "film.gif", rate)
+    with Image.open(tmp_path / "film.gif") as film:
+        durations = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
+    assert len(durations) == 61
+    ends = np.arange(1, 62) / rate  # of a steady film [s]
+    assert np.abs(np.cumsum(durations) / 1000 - ends).max() < 0.0051
+    assert min(durations) >= 20  # players slow down shorter frames
 
 
 def test_film_without_its_tools_raises(fall, tmp_path: Path, monkeypatch) -> None:

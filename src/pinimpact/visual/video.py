@@ -10,6 +10,8 @@ import tempfile
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
+
 from ..checks import above_zero
 from ..errors import InputError
 from .browser import find_browser, open_page
@@ -99,7 +101,9 @@ def _write_gif(frames: list[bytes], path: Path, rate: float) -> None:
     )
     palette.putpalette([*(common.getpalette() or []), *(bright.getpalette() or [])])
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000.0 / rate, loop=0)
+    # a GIF has whole hundredths of a second; those of the ends of all frames are rounded, so that none add up
+    durations = 10 * np.diff(np.round(100.0 / rate * np.arange(len(pictures) + 1))).astype(int)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations.tolist(), loop=0)
 
 
 def _write_film(frames: list[bytes], path: Path, rate: float, ffmpeg: str) -> None:
