@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 import warnings
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -679,6 +680,34 @@ def test_film_without_its_tools_raises(fall, tmp_path: Path, monkeypatch) -> Non
         shown.video(tmp_path / "x.mp4")
     with pytest.raises(pinimpact.InputError, match="button"):
         shown.video(tmp_path / "x.gif")
+
+
+def test_film_is_checked_before_it_is_drawn(fall, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("pinimpact.visual.video._frames", lambda *_: pytest.fail("frames are drawn"))
+    monkeypatch.setattr("pinimpact.visual.video.find_browser", lambda: "browser")
+    shown = pinimpact.replay(*fall, None)
+    with pytest.raises(pinimpact.InputError, match="path: there is no folder"):
+        shown.video(tmp_path / "none" / "x.gif")
+    for size in ((0, 0), (320, -1), (320,), 320, (320, np.nan), "ab"):
+        with pytest.raises(pinimpact.InputError, match="size: "):
+            shown.video(tmp_path / "x.gif", size=size)
+
+
+@pytest.mark.parametrize("name", ["a\0b.html", "a" * 300, "a" * 300 + "/b.html"])
+def test_paths_that_no_file_can_have_raise(page, name: str, tmp_path: Path) -> None:
+    with pytest.raises(pinimpact.InputError, match=r"path: .* cannot be a file"):
+        page.save(tmp_path / name)
+    assert not any(tmp_path.iterdir())
+
+
+def test_names_that_are_not_unicode_are_drawn(fall, tmp_path: Path) -> None:
+    """Names of files may have bytes that are not UTF-8, which Python represents by surrogates."""
+    robot, trajectory = fall
+    (tip,) = trajectory.contacts
+    odd = replace(tip, name=b"f\xfc\xdf\xe9".decode("utf-8", "surrogateescape"))
+    shown = pinimpact.replay(robot, trajectory, tmp_path / "odd.html", contacts=[odd])
+    assert (tmp_path / "odd.html").read_text(encoding="utf-8") == shown.html
+    assert [contact["name"] for contact in motion_of(shown)["contacts"]] == ["f???"]
 
 
 DAE = f"""<COLLADA xmlns="{NAMESPACE}"><library_geometries><geometry id="g"><mesh><source id="s"/>

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import above_zero
+from ..checks import above_zero, finite_array, output_file, whole_number
 from ..errors import InputError
 from .browser import find_browser, open_page
 
@@ -32,17 +32,20 @@ def write_video(
 
     Args:
         page: The attribute ``html`` of a `Replay`.
-        path: A path that ends in .gif, .mp4, .webm, .mkv or .mov.
+        path: A path that ends in .gif, .mp4, .webm, .mkv or .mov, in a folder that exists.
         rate: Frames per second, > 0; at most 50 for a GIF.
-        size: Width and height of the window [px].
+        size: Width and height of the window, at least 1 [px].
 
     Returns:
         The path.
 
     Raises:
-        InputError: Another ending, or no browser or ffmpeg on this machine.
+        InputError: Another ending, a missing folder, or no browser or ffmpeg on this machine.
     """
-    path = Path(path)
+    path = output_file("path", path)
+    width, height = (
+        whole_number("size", n, 1) for n in finite_array("size", size, (2,)).astype(int).tolist()
+    )
     rate = above_zero("rate", rate)
     kind = path.suffix.lower()
     if kind != ".gif" and kind not in FILMS:
@@ -63,7 +66,7 @@ def write_video(
         )
     if kind == ".gif":
         rate = min(rate, 50.0)
-    frames = _frames(page, browser, rate, size, "png" if kind == ".gif" else "jpeg")
+    frames = _frames(page, browser, rate, (width, height), "png" if kind == ".gif" else "jpeg")
     if kind == ".gif":
         _write_gif(frames, path, rate)
     else:
