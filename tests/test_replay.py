@@ -606,6 +606,45 @@ def test_grid_at_lowest_point() -> None:
     assert not any(shape.meshColor[:3].any() for shape in robot.visual_model.geometryObjects)  # unchanged
 
 
+def spinning(speed: float, duration: float) -> tuple[pin.Model, pinimpact.Trajectory]:
+    """Return a wheel with an eccentric disc, which turns at constant speed, and its motion."""
+    model = pin.Model()
+    for parent, name in ((0, "wheel"), (1, "disc")):
+        place = pin.SE3(np.eye(3), np.array([0.3 * parent, 0.0, 0.0]))
+        joint = model.addJoint(parent, pin.JointModelRZ(), place, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.gravity.linear[:] = 0.0
+    scene = pinimpact.Scene(model)
+    return model, pinimpact.simulate(scene, [0.0, 0.0], [speed, 0.0], duration)
+
+
+@pytest.mark.parametrize(("speed", "duration"), [(20.0, 0.5), (314.0, 0.5), (20.0, 100.0), (-20.0, 100.0)])
+def test_bodies_turn_between_frames_as_they_move(speed: float, duration: float) -> None:
+    model, trajectory = spinning(speed, duration)
+    motion = motion_of(pinimpact.replay(model, trajectory, None))
+    assert not motion["coarse"]
+    times = numbers(motion["times"], "<f8")
+    for joint in range(1, 3):
+        _, _, z, w = numbers(motion["joints"][str(joint)]).reshape(-1, 7)[:, 3:].T
+        turns = np.diff(2.0 * np.arctan2(z, w))
+        turns = (turns + np.pi) % (2.0 * np.pi) - np.pi  # the shorter way, as the player does
+        pairs = [(trajectory.at(float(t))[0][:joint].sum()) for t in times]
+        np.testing.assert_allclose(turns, np.diff(pairs), atol=1e-5)
+        assert np.abs(turns).max() < 1.0 + 1e-5
+    if abs(speed) * duration < 20.0:  # slow in each of 60 frames per second
+        assert len(times) == 31
+
+
+@needs_browser
+def test_page_says_if_rotation_needs_more_frames(tmp_path: Path) -> None:
+    pages = [pinimpact.replay(*spinning(3000.0, duration), None) for duration in (1.0, 10.0)]
+    assert [motion_of(shown)["coarse"] for shown in pages] == [False, True]
+    assert len(numbers(motion_of(pages[1])["times"], "<f8")) < 13_000
+    doms, console = opened_together([(shown, "t=0.5") for shown in pages], tmp_path, [(960, 540)] * 2)
+    said = [any("fewer frames" in row for row in content_of(dom, console)[1]) for dom in doms]
+    assert said == [False, True]
+
+
 @needs_browser
 def test_contacts_of_two_bodies_are_listed_in_one_row(tmp_path: Path) -> None:
     box = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2))
