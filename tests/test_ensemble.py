@@ -1,6 +1,7 @@
 """Ensembles: draws, independence of chunks and workers, lost workers, statistics, errors."""
 
 import functools
+import html
 import itertools
 import json
 import os
@@ -352,6 +353,16 @@ def test_single_impacts_against_closed_form():
     assert middle.low < middle.value < middle.high
 
 
+def test_columns_of_parameters_are_their_draws():
+    """Also of those that do not act, because a parameter of the only contact overrides them."""
+    over = {"friction:tip": stats.uniform(0.1, 0.2), "friction": stats.uniform(0.5, 0.4)}
+    drawn = ensemble(_scene(), [0.0], [-1.0], 0.01, over=over, samples=5, seed=3).columns
+    found = ensemble(_scene(), [0.0], [-1.0], None, over=over, samples=5, seed=3).columns
+    for name in over:
+        np.testing.assert_array_equal(found[name], drawn[name])
+        assert ((over[name].support()[0] <= found[name]) & (found[name] <= over[name].support()[1])).all()
+
+
 def test_quantiles_with_infinite_values():
     """A mass with v ~ N(0, 1) m/s upwards falls by h = 0.1 m in a time of (v + √(v² + 2 g h))/g."""
 
@@ -399,6 +410,22 @@ def test_sobol_indices_against_closed_form():
         _run().sobol_indices("v.rail")
 
 
+@pytest.mark.parametrize("samples", [1, 4, 5])
+def test_few_samples_have_sobol_indices_with_intervals(samples, tmp_path):
+    over = {"v0:rail": stats.uniform(-2.0, 1.0), "restitution": stats.uniform(0.2, 0.6)}
+    found = ensemble(_scene(), [0.0], [0.0], None, over=over, samples=samples, design="saltelli")
+    v = found.columns["v.rail"]
+    assert len(v) == 8  # two base samples for A, for B, and for A with each column of B
+    a, b, *mixed = v.reshape(4, 2)
+    spread = np.r_[a, b].var()
+    indices = found.facts()["sobol_indices"]["v.rail"]
+    for name, ab in zip(found.parameters, mixed, strict=True):  # Saltelli et al. (2010), Table 2 (f)
+        total = indices[name]["total"]
+        assert total["value"] == pytest.approx(((a - ab) ** 2).mean() / 2 / spread, rel=1e-12)
+        assert total["low"] <= total["value"] <= total["high"]
+    found.save_summary(tmp_path / "summary.html")
+
+
 @pytest.mark.parametrize("design", ["sobol", "halton", "saltelli"])
 def test_independent_numbers_of_one_distribution(design):
     """They are drawn as those of single distributions are."""
@@ -444,6 +471,22 @@ def test_summary_page(tmp_path):
         assert float(total.split()[0]) == pytest.approx(indices.total_order[k], rel=1e-3)
     assert page.count("data:image/png;base64,") == 1
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+
+
+TEXT = "<small></small><script>alert(1)</script> & <b>"
+
+
+def _injected(trajectory):
+    return {TEXT: TEXT, f"x{TEXT}": 1.0}
+
+
+def test_names_and_values_are_text_in_the_summary_page(tmp_path):
+    page = _run(3, reduce=_injected).save_summary(tmp_path / "summary.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    cells = [html.unescape(cell) for row in _tables(page) for cell in row]
+    assert cells.count(TEXT) == 2
+    assert cells.count(f"x{TEXT}") == 1
+    assert "100 (43.85 to 100)" in cells  # Wilson's interval for 3 of 3: from n / (n + 1.96²)
 
 
 def run_command(*options):
@@ -591,6 +634,30 @@ def test_rows_of_reduce_are_numbers_or_texts(what, status, match):
     found = _run(2, reduce=functools.partial(_rows, what=what))
     assert set(found.columns["status"]) == {status}
     assert all(re.search(match, text) for text in found.columns["message"])
+
+
+def _direction(trajectory, other):
+    """Return in which direction the mass moves: "down", `other`, or an error."""
+    v = trajectory.v[-1, 0]
+    if v > 0.4:
+        raise ValueError("too fast")
+    return {"direction": "down" if v < 0 else other}
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 12])
+@pytest.mark.parametrize("files", [False, True])
+def test_kinds_of_columns_do_not_depend_on_chunks(chunk, files, tmp_path, monkeypatch):
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", chunk)
+    with ThreadPoolExecutor(2) as pool:
+        how = {"out": tmp_path / "study"} if files else {"executor": pool}
+        found = _run(reduce=functools.partial(_direction, other="up"), **how)
+        speeds = _run().columns["v.rail"]
+        wanted = ["" if v > 0.4 else "down" if v < 0 else "up" for v in speeds]
+        assert {*wanted} == {"", "down", "up"}
+        assert found.columns["direction"].tolist() == wanted
+        how = {"out": tmp_path / "mixed"} if files else {"executor": pool}
+        with pytest.raises(InputError, match="reduce: column 'direction' mixes text and numbers"):
+            _run(reduce=functools.partial(_direction, other=1), **how)
 
 
 class _Counting:

@@ -7,6 +7,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from matplotlib import pyplot
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.text import Text
 from scipy.integrate import solve_ivp
 
 import pinimpact
@@ -475,6 +477,34 @@ def test_legends_have_no_duplicates_and_cover_no_lines(fall) -> None:
         if ax.name != "3d":  # 3d axes fill the figure, with the legend in a corner
             assert not (box.x0 < plot.x1 and plot.x0 < box.x1 and box.y0 < plot.y1 and plot.y0 < box.y1)
     assert count > 10
+
+
+@pytest.mark.parametrize("name", ["_foot", r"$\q$", "a$b$c", "x$", r"a\$b", "impact", "slip", "normal"])
+def test_names_are_drawn_as_they_are(fall, name: str, tmp_path: Path) -> None:
+    """Text of users is neither a formula nor hidden; matplotlib's own function tells formulas."""
+    robot, trajectory = fall
+    (tip,) = trajectory.contacts
+    scene = pinimpact.Scene(robot, [replace(tip, name=name)], without=["joint limits"])
+    named = pinimpact.simulate(scene, trajectory.q[0], trajectory.v[0], 0.1 + trajectory.impacts[0].time)
+    rows = plots.overview(named, robot)
+    figures = [
+        rows[0].figure,
+        plots.forces(named, name).figure,
+        plots.energy_figure(named, name),
+        plots.forces_figure(named, [name], name),
+        plots.impact_figure(ROD, pinimpact.solve_impact(ROD), name),
+        plots.distributions({name: np.array([name, "other"], dtype=object)}),
+    ]
+    for k, figure in enumerate(figures):
+        plots.save_figure(figure, tmp_path / f"{k}.png")
+        shown = [text for text in figure.findobj(Text) if text.get_text()]
+        drawn = [text._preprocess_math(text.get_text()) for text in shown]
+        assert any(text.split("\n")[0].strip() == name for text, _ in drawn)
+        assert not any(formula for _, formula in drawn)
+    for ax in (rows[0], rows[2]):  # the line of the contact, and those of impacts
+        entries = {line.get_color(): line.get_label().strip() for line in ax.get_legend().get_lines()}
+        assert len(entries) == 2
+        assert plots.style.FLOW in entries
 
 
 def test_plots_draw_into_given_axes(fall) -> None:

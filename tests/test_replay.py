@@ -9,6 +9,8 @@ import json
 import re
 import shutil
 import warnings
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -23,6 +25,7 @@ import pinimpact
 from pinimpact.robot.matrices import contact_geometry
 from pinimpact.visual.browser import find_browser, open_page
 from pinimpact.visual.collada import NAMESPACE, for_viewer
+from pinimpact.visual.video import _write_gif
 
 from .scene_models import shaped_body
 
@@ -603,6 +606,45 @@ def test_grid_at_lowest_point() -> None:
     assert not any(shape.meshColor[:3].any() for shape in robot.visual_model.geometryObjects)  # unchanged
 
 
+def spinning(speed: float, duration: float) -> tuple[pin.Model, pinimpact.Trajectory]:
+    """Return a wheel with an eccentric disc, which turns at constant speed, and its motion."""
+    model = pin.Model()
+    for parent, name in ((0, "wheel"), (1, "disc")):
+        place = pin.SE3(np.eye(3), np.array([0.3 * parent, 0.0, 0.0]))
+        joint = model.addJoint(parent, pin.JointModelRZ(), place, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.gravity.linear[:] = 0.0
+    scene = pinimpact.Scene(model)
+    return model, pinimpact.simulate(scene, [0.0, 0.0], [speed, 0.0], duration)
+
+
+@pytest.mark.parametrize(("speed", "duration"), [(20.0, 0.5), (314.0, 0.5), (20.0, 100.0), (-20.0, 100.0)])
+def test_bodies_turn_between_frames_as_they_move(speed: float, duration: float) -> None:
+    model, trajectory = spinning(speed, duration)
+    motion = motion_of(pinimpact.replay(model, trajectory, None))
+    assert not motion["coarse"]
+    times = numbers(motion["times"], "<f8")
+    for joint in range(1, 3):
+        _, _, z, w = numbers(motion["joints"][str(joint)]).reshape(-1, 7)[:, 3:].T
+        turns = np.diff(2.0 * np.arctan2(z, w))
+        turns = (turns + np.pi) % (2.0 * np.pi) - np.pi  # the shorter way, as the player does
+        pairs = [(trajectory.at(float(t))[0][:joint].sum()) for t in times]
+        np.testing.assert_allclose(turns, np.diff(pairs), atol=1e-5)
+        assert np.abs(turns).max() < 1.0 + 1e-5
+    if abs(speed) * duration < 20.0:  # slow in each of 60 frames per second
+        assert len(times) == 31
+
+
+@needs_browser
+def test_page_says_if_rotation_needs_more_frames(tmp_path: Path) -> None:
+    pages = [pinimpact.replay(*spinning(3000.0, duration), None) for duration in (1.0, 10.0)]
+    assert [motion_of(shown)["coarse"] for shown in pages] == [False, True]
+    assert len(numbers(motion_of(pages[1])["times"], "<f8")) < 13_000
+    doms, console = opened_together([(shown, "t=0.5") for shown in pages], tmp_path, [(960, 540)] * 2)
+    said = [any("fewer frames" in row for row in content_of(dom, console)[1]) for dom in doms]
+    assert said == [False, True]
+
+
 @needs_browser
 def test_contacts_of_two_bodies_are_listed_in_one_row(tmp_path: Path) -> None:
     box = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2))
@@ -648,6 +690,26 @@ def test_film_as_gif(fall, tmp_path: Path) -> None:
         assert shown.video(tmp_path / "fall.mp4", rate=10, size=(320, 240)).stat().st_size > 1000
 
 
+@pytest.mark.parametrize("rate", [7.0, 15.0, 25.0, 26.0, 30.0, 40.0, 50.0])
+def test_frames_of_gif_are_shown_at_their_times(rate: float, tmp_path: Path) -> None:
+    from PIL import Image, ImageSequence
+
+    frames = []
+    for k in range(61):
+        file = BytesIO()
+        picture = Image.new("RGB", (61, 8))
+        picture.putpixel((k, 4), (255, 255, 255))
+        picture.save(file, "png")
+        frames.append(file.getvalue())
+    _write_gif(frames, tmp_path / "film.gif", rate)
+    with Image.open(tmp_path / "film.gif") as film:
+        durations = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
+    assert len(durations) == 61
+    ends = np.arange(1, 62) / rate  # of a steady film [s]
+    assert np.abs(np.cumsum(durations) / 1000 - ends).max() < 0.0051
+    assert min(durations) >= 20  # players slow down shorter frames
+
+
 def test_film_without_its_tools_raises(fall, tmp_path: Path, monkeypatch) -> None:
     shown = pinimpact.replay(*fall, None)
     with pytest.raises(pinimpact.InputError, match=r"'x\.avi' given"):
@@ -657,6 +719,34 @@ def test_film_without_its_tools_raises(fall, tmp_path: Path, monkeypatch) -> Non
         shown.video(tmp_path / "x.mp4")
     with pytest.raises(pinimpact.InputError, match="button"):
         shown.video(tmp_path / "x.gif")
+
+
+def test_film_is_checked_before_it_is_drawn(fall, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("pinimpact.visual.video._frames", lambda *_: pytest.fail("frames are drawn"))
+    monkeypatch.setattr("pinimpact.visual.video.find_browser", lambda: "browser")
+    shown = pinimpact.replay(*fall, None)
+    with pytest.raises(pinimpact.InputError, match="path: there is no folder"):
+        shown.video(tmp_path / "none" / "x.gif")
+    for size in ((0, 0), (320, -1), (320,), 320, (320, np.nan), "ab"):
+        with pytest.raises(pinimpact.InputError, match="size: "):
+            shown.video(tmp_path / "x.gif", size=size)
+
+
+@pytest.mark.parametrize("name", ["a\0b.html", "a" * 300, "a" * 300 + "/b.html"])
+def test_paths_that_no_file_can_have_raise(page, name: str, tmp_path: Path) -> None:
+    with pytest.raises(pinimpact.InputError, match=r"path: .* cannot be a file"):
+        page.save(tmp_path / name)
+    assert not any(tmp_path.iterdir())
+
+
+def test_names_that_are_not_unicode_are_drawn(fall, tmp_path: Path) -> None:
+    """Names of files may have bytes that are not UTF-8, which Python represents by surrogates."""
+    robot, trajectory = fall
+    (tip,) = trajectory.contacts
+    odd = replace(tip, name=b"f\xfc\xdf\xe9".decode("utf-8", "surrogateescape"))
+    shown = pinimpact.replay(robot, trajectory, tmp_path / "odd.html", contacts=[odd])
+    assert (tmp_path / "odd.html").read_text(encoding="utf-8") == shown.html
+    assert [contact["name"] for contact in motion_of(shown)["contacts"]] == ["f???"]
 
 
 DAE = f"""<COLLADA xmlns="{NAMESPACE}"><library_geometries><geometry id="g"><mesh><source id="s"/>

@@ -94,8 +94,21 @@ def file_path(field: str, path: Any) -> Path:
 
 
 def output_file(field: str, path: str | Path) -> Path:
-    """Return the path of a file to be written; raise `InputError` for a folder or a missing folder."""
+    """Return the path of a file to be written.
+
+    Raises:
+        InputError: A folder, a file in a missing folder, or a path that no file can have.
+    """
     path = file_path(field, path)
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # a name too long, or with characters that are not allowed
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            f"{field}: {in_short(str(path))} cannot be a file: {reason}", value=str(path)
+        ) from error
     if path.is_dir():
         raise InputError(f"{field}: {path} is a folder; add the name of a file", value=str(path))
     if not path.absolute().parent.is_dir():

@@ -15,6 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from inspect import signature
+from itertools import chain
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from ..scene.simulation import INTERRUPTED, SCHEMES, simulate
 from ..scene.trajectory import Trajectory
 from .ensemble_result import Ensemble
 from .sampling import Sampling
-from .study_folder import Columns, StudyFolder, joined
+from .study_folder import Columns, StudyFolder, joined, of_one_kind
 
 CHUNK_SECONDS = 2.0
 """Target processor time of a chunk: long relative to the overhead of a task, short if it is lost."""
@@ -69,9 +70,10 @@ class _Task:
             found = self._impacts(drawn)
         else:
             found = _columns([self._row(first + i, numbers) for i, numbers in enumerate(drawn)])
-        index = {"sample": np.arange(first, first + count)}
-        columns = index | dict(zip(self.sampling.names, drawn.T.copy(), strict=True)) | found
-        return columns, time.thread_time() - began
+        columns = {"sample": np.arange(first, first + count)}
+        # they precede results, which may have some of their names
+        columns |= dict(zip(self.sampling.names, drawn.T.copy(), strict=True))
+        return columns | found | columns, time.thread_time() - began
 
     def trajectory(self, numbers: Array) -> Trajectory:
         """Return the run of a sample; errors as in `simulate`."""
@@ -189,7 +191,7 @@ def ensemble(
             what is added to the start, in the tangent space, (nv,) numbers of a multivariate distribution;
             "q0:NAME", "v0:NAME" one of them, by its name in ``trajectory.coordinates[1]``. A tuple of keys
             for several numbers of one distribution.
-        samples: Number of samples.
+        samples: Number of samples; "saltelli" rounds it up to 2, 4, 8, … times d + 2, for d parameters.
         seed: Seed of all draws.
         design: "random"; "sobol" or "halton", low-discrepancy sequences of `scipy.stats.qmc`; "saltelli", for
             `Ensemble.sobol_indices`. All but the first need distributions with ``ppf``, of independent
@@ -208,7 +210,8 @@ def ensemble(
         An `Ensemble`, with columns for the parameters and the rows of `reduce`.
 
     Raises:
-        InputError: Invalid numbers or distributions; a scene that cannot be pickled; another study in `out`.
+        InputError: Invalid numbers or distributions; a scene that cannot be pickled; another study in `out`;
+            a `reduce` that returns text by a name in some rows and numbers in others.
         UnknownNameError: A parameter that does not exist.
         SimulationError: Worker processes died again and again, or the executor failed; the message names the
             samples in question.
@@ -220,15 +223,14 @@ def ensemble(
     )
     if executor is not None:
         _check_pickles(task)
-    folder, found = None, {}
+    folder, known, found, done = None, {}, {}, 0
     if out is not None:
         settings = {"duration": duration, "options": options, "reduce": reduce}
         folder = StudyFolder(out, sampling, settings, resume)
-        found = folder.read()
-    pieces = _Pieces({first: len(columns["sample"]) for first, columns in found.items()}, sampling.samples)
-    done = sum(len(columns["sample"]) for columns in found.values())
-    for first, columns in _finished(task, pieces, executor):
-        if folder is not None:
+        known = folder.read()
+    pieces = _Pieces({first: len(columns["sample"]) for first, columns in known.items()}, sampling.samples)
+    for first, columns in of_one_kind(chain(known.items(), _finished(task, pieces, executor))):
+        if folder is not None and first not in known:
             folder.write(first, columns)
         found[first] = columns
         done += len(columns["sample"])

@@ -31,7 +31,8 @@ class Sampling:
 
     Attributes:
         names: (d,) names of the varying numbers.
-        samples: Number of samples; for "saltelli" it is rounded up to a multiple of d + 2.
+        samples: Number of samples; for "saltelli" it is rounded up to d + 2 times a power of two, at least
+            2 (d + 2), because a variance needs two base samples.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Sampling:
             self._setters |= fit.setters
         if self.design == "saltelli":
             block = len(self.names) + 2
-            self.base = 2 ** math.ceil(math.log2(max(-(-self.samples // block), 1)))
+            self.base = 2 ** math.ceil(math.log2(max(-(-self.samples // block), 2)))
             self.samples = block * self.base
 
     def _expanded(self, key: Any) -> tuple[str, ...]:

@@ -199,6 +199,22 @@ class StudyFolder:
         os.replace(aside, self.file(first))
 
 
+def of_one_kind(chunks: Iterable[tuple[int, Columns]]) -> Iterator[tuple[int, Columns]]:
+    """Yield chunks; raise `InputError` for a column of text and numbers, in one chunk or in several."""
+    kinds: dict[str, set[bool]] = {}
+    for first, columns in chunks:
+        for name, column in columns.items():
+            numbers = column.dtype.kind in "fiu"
+            kinds.setdefault(name, set()).update([False] if numbers else (isinstance(x, str) for x in column))
+            if len(kinds[name]) > 1:
+                raise InputError(
+                    f"reduce: column {name!r} mixes text and numbers; text in all rows, or numbers in all "
+                    "rows, expected",
+                    value=name,
+                )
+        yield first, columns
+
+
 def joined(chunks: list[Columns]) -> Columns:
     """Return the rows of all chunks; a column that one lacks is NaN or empty there."""
     found = {}

@@ -31,7 +31,7 @@ def ensemble_page(facts: Mapping[str, Any], figure: Figure) -> str:
     count, parameters = facts["samples"], ", ".join(facts["parameters"])
     levels = list(next(iter(numbers.values()), {}))
     shares = [
-        (name, value or "none", _estimate(share, 100.0))
+        (name, value or "none", {level: 100.0 * x for level, x in share.items()})
         for name, row in texts.items()
         for value, share in row.items()
     ]
@@ -42,11 +42,11 @@ def ensemble_page(facts: Mapping[str, Any], figure: Figure) -> str:
         *_table(
             "Quantiles [SI units]",
             ("result", *levels),
-            [(name, *map(_estimate, row.values())) for name, row in numbers.items()],
+            [(name, *row.values()) for name, row in numbers.items()],
         ),
     ]
     indices = [
-        (name, parameter, _estimate(row["first order"]), _estimate(row["total"]))
+        (name, parameter, row["first order"], row["total"])
         for name, by_parameter in facts.get("sobol_indices", {}).items()
         for parameter, row in by_parameter.items()
     ]
@@ -59,19 +59,18 @@ def ensemble_page(facts: Mapping[str, Any], figure: Figure) -> str:
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
 
 
-def _estimate(value: Mapping[str, float | None], factor: float = 1.0) -> str:
-    """Return a value with its interval."""
-    number, low, high = ("–" if x is None else f"{factor * x:.4g}" for x in value.values())
-    return f"{number} <small>({low} to {high})</small>"
-
-
-def _table(title: str, head: Iterable[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table with a heading, or nothing without rows; cells with <small> are HTML already."""
+def _table(title: str, head: Iterable[str], rows: Sequence[Sequence[Any]]) -> list[str]:
+    """Return a table of texts and estimates with a heading, or nothing without rows."""
     if not rows:
         return []
     names = "".join(f"<th>{name}</th>" for name in head)
-    lines = [
-        "<tr>" + "".join(f"<td>{x if '<small>' in x else html.escape(x)}</td>" for x in row) + "</tr>"
-        for row in rows
-    ]
+    lines = ["<tr>" + "".join(f"<td>{_cell(x)}</td>" for x in row) + "</tr>" for row in rows]
     return [f"<h2>{title}</h2>", f"<table><tr>{names}</tr>", *lines, "</table>"]
+
+
+def _cell(content: str | Mapping[str, float | None]) -> str:
+    """Return the HTML of a text, or of an estimate with its interval."""
+    if isinstance(content, str):
+        return html.escape(content)
+    number, low, high = ("–" if x is None else f"{x:.4g}" for x in content.values())
+    return f"{number} <small>({low} to {high})</small>"

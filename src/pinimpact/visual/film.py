@@ -1,4 +1,4 @@
-"""Times of the frames of a replay: evenly spaced, denser where it slows down, and twice at each impact."""
+"""Times of the frames of a replay: even, denser in slow film and fast rotation, twice at each impact."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from ..arrays import Array
 FRAMES_PER_SECOND = 60
 MAX_FRAMES = 2000
 """Maximum number of evenly spaced frames; longer replays have a wider spacing, to limit the file size."""
+MAX_TURN = 1.0
+"""Maximum rotation of a body between frames [rad]; the player turns it the shorter way, right up to π."""
+MAX_TURNING = 10_000
+"""Maximum number of additional frames for rotation, to limit the file size."""
 SLOWED = 20
 """Maximum number of impacts at which a replay slows down: those with the largest work of compression."""
 EXTRA = 30
@@ -56,3 +60,24 @@ def frame_times(
     times = np.unique(np.concatenate([even, *close, at]))
     times = times[(times >= start) & (times <= end)]
     return np.sort(np.concatenate([times, at]))
+
+
+def turning_times(times: Array, moments: Array, speeds: Array) -> tuple[Array, bool]:
+    """Return the times of frames, with further ones where a body turns by more than `MAX_TURN` between two.
+
+    Args:
+        times: (m,) times of frames in order [s].
+        moments: (n,) times of a motion in order [s].
+        speeds: (n,) angular speed of the fastest body at these [rad/s].
+
+    Returns:
+        The times, and whether they are too few, because of `MAX_TURNING`.
+    """
+    turns = np.diff(moments) * np.maximum(speeds[1:], speeds[:-1])
+    angles = np.interp(times, moments, np.concatenate([[0.0], np.cumsum(turns)]))
+    more = np.maximum(np.ceil(np.diff(angles) / MAX_TURN) - 1.0, 0.0)
+    share = MAX_TURNING / max(float(more.sum()), MAX_TURNING)
+    parts = 1 + (share * more).astype(int)
+    spans = zip(times[:-1], times[1:], parts, strict=True)
+    pieces = [np.linspace(a, b, count, endpoint=False) for a, b, count in spans]
+    return np.concatenate([*pieces, times[-1:]]), share < 1.0

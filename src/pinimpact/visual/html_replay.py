@@ -31,7 +31,7 @@ from ..robot.solids import Shape
 from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord, by_impact
 from ..scene.trajectory import Trajectory
-from .film import FRAMES_PER_SECOND, frame_times, slowed, width_of_slowness
+from .film import FRAMES_PER_SECOND, frame_times, slowed, turning_times, width_of_slowness
 from .impact_marks import ImpactMark, impact_mark
 from .page_file import Recorder, packed, page
 from .robot_shapes import (
@@ -42,6 +42,7 @@ from .robot_shapes import (
     send_background,
     send_meshes,
     skeleton,
+    turning_speeds,
 )
 from .shapes_in_contact import bodies_of, contacts_to_draw, lit_shapes
 from .smooth_path import parts_at
@@ -211,6 +212,8 @@ def _motion_page(
     width = width_of_slowness(end - start, speed, slowdown)
     slow_moments = [time for time, on in zip(moments, slow, strict=True) if on]
     times = frame_times(start, end, speed, moments, slow_moments, width)
+    speeds = turning_speeds(model, trajectory.q, trajectory.v)
+    times, coarse = turning_times(times, trajectory.t, speeds)
     configurations = [trajectory.at(float(t))[0] for t in times]
     data = data_of(model)
     by_name = {contact.label: contact for contact in contacts}
@@ -231,6 +234,7 @@ def _motion_page(
         marks.append(impact_mark(parts, source, first.time, on))
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
+    settings["coarse"] = coarse
     modes = [[bodies.get(m.source, m.source), m.mode, m.start, m.end] for m in trajectory.modes]
     lit = lit_shapes(robot, trajectory, [*contacts, *paired])
     solids = dict.fromkeys(contact.pair.plane for contact in paired if contact.pair is not None)

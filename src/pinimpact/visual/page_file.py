@@ -70,7 +70,7 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
     own = files(__package__) / "page"
     # each command is preceded by its length
     whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
-    return Template((own / "page.html").read_text(encoding="utf-8")).substitute(
+    text = Template((own / "page.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
         shapes=base64.b64encode(gzip.compress(whole, 5, mtime=0)).decode("ascii"),
         motion=json.dumps(motion, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
@@ -78,6 +78,8 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
         drawing=_script((own / "drawing.js").read_text(encoding="utf-8")),
         player=_script((own / "player.js").read_text(encoding="utf-8")),
     )
+    # names of files, for instance, may have characters that UTF-8 lacks
+    return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def packed(numbers: Any, kind: type[np.floating[Any]] = np.float32) -> str:

@@ -129,6 +129,16 @@ def joint_poses(model: pin.Model, configurations: Sequence[Array]) -> Array:
     return poses
 
 
+def turning_speeds(model: pin.Model, configurations: Array, velocities: Array) -> Array:
+    """Return the largest angular speed of a joint in world axes at each of n states [rad/s]."""
+    data = data_of(model)
+    speeds = np.zeros(len(configurations))
+    for state, (q, v) in enumerate(zip(configurations, velocities, strict=True)):
+        forward_kinematics(model, data, q, v)
+        speeds[state] = max(np.linalg.norm(data.v[joint].angular) for joint in range(model.njoints))
+    return speeds
+
+
 def joints_as_data(poses: Array, wanted: Sequence[int]) -> dict[str, Any]:
     """Return the poses of joints for the player, moving and fixed joints separately."""
     moves = {joint: bool(np.ptp(poses[:, joint], axis=0).any()) for joint in wanted}

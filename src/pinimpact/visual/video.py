@@ -10,7 +10,9 @@ import tempfile
 from io import BytesIO
 from pathlib import Path
 
-from ..checks import above_zero
+import numpy as np
+
+from ..checks import above_zero, finite_array, output_file, whole_number
 from ..errors import InputError
 from .browser import find_browser, open_page
 
@@ -30,17 +32,20 @@ def write_video(
 
     Args:
         page: The attribute ``html`` of a `Replay`.
-        path: A path that ends in .gif, .mp4, .webm, .mkv or .mov.
+        path: A path that ends in .gif, .mp4, .webm, .mkv or .mov, in a folder that exists.
         rate: Frames per second, > 0; at most 50 for a GIF.
-        size: Width and height of the window [px].
+        size: Width and height of the window, at least 1 [px].
 
     Returns:
         The path.
 
     Raises:
-        InputError: Another ending, or no browser or ffmpeg on this machine.
+        InputError: Another ending, a missing folder, or no browser or ffmpeg on this machine.
     """
-    path = Path(path)
+    path = output_file("path", path)
+    width, height = (
+        whole_number("size", n, 1) for n in finite_array("size", size, (2,)).astype(int).tolist()
+    )
     rate = above_zero("rate", rate)
     kind = path.suffix.lower()
     if kind != ".gif" and kind not in FILMS:
@@ -61,7 +66,7 @@ def write_video(
         )
     if kind == ".gif":
         rate = min(rate, 50.0)
-    frames = _frames(page, browser, rate, size, "png" if kind == ".gif" else "jpeg")
+    frames = _frames(page, browser, rate, (width, height), "png" if kind == ".gif" else "jpeg")
     if kind == ".gif":
         _write_gif(frames, path, rate)
     else:
@@ -99,7 +104,9 @@ def _write_gif(frames: list[bytes], path: Path, rate: float) -> None:
     )
     palette.putpalette([*(common.getpalette() or []), *(bright.getpalette() or [])])
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000.0 / rate, loop=0)
+    # a GIF has whole hundredths of a second; those of the ends of all frames are rounded, so that none add up
+    durations = 10 * np.diff(np.round(100.0 / rate * np.arange(len(pictures) + 1))).astype(int)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations.tolist(), loop=0)
 
 
 def _write_film(frames: list[bytes], path: Path, rate: float, ffmpeg: str) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from .plots.style import plain
+
 COLUMNS = 4
 ROUNDING = float(np.finfo(float).eps)
 """Smallest relative error that is drawn; smaller ones are rounding errors."""
@@ -31,11 +33,11 @@ def draw_work_precision(panels: Mapping[str, Sequence[Curve]], path: str | Path)
                 [1e6 * time for time, _ in points],
                 [max(error, ROUNDING) for _, error in points],
                 linewidth=1,
-                label=label,
+                label=plain(label),
                 zorder=3 - number / len(curves),
                 **{"marker": "^", "markersize": 4.0, **style},
             )
-        axes.set_title(title, fontsize=10)
+        axes.set_title(plain(title), fontsize=10)
         axes.grid(alpha=0.3)
         axes.set_xlabel("time of one impact [µs]", fontsize=8)
     for axes in grid[::columns]:

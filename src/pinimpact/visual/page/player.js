@@ -386,6 +386,7 @@
 
   function write(t, piece, share) {
     const lines = [data.within ? "" : `t = ${t.toFixed(4)} s`];
+    if (data.coarse) lines.push("fewer frames than the rotation needs: bodies may turn the wrong way");
     if (piece.impact) {
       for (const mark of piece.impact.contacts) {
         const whole = mark.impulse[mark.impulse.length - 1][2], now = Drawing.along(mark, share, "impulse")[2];

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .style import COMPRESSION, FLOW, RESTITUTION
+from .style import COMPRESSION, FLOW, RESTITUTION, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,13 +30,13 @@ def distributions(columns: Mapping[str, NDArray[Any]]) -> Figure:
     figure = pyplot.figure(figsize=(3.2 * COLUMNS, 2.1 * max(rows, 1)), layout="constrained")
     for k, (name, values) in enumerate(columns.items()):
         ax = figure.add_subplot(rows, COLUMNS, k + 1)
-        ax.set_title(name, fontsize="small")
+        ax.set_title(plain(name), fontsize="small")
         ax.tick_params(labelsize="x-small")
         if values.dtype.kind in "fiu":
             _histogram(ax, values)
         else:
             names, counts = np.unique(values.astype(str), return_counts=True)
-            ax.barh([str(name) or "none" for name in names], counts / len(values), color=COMPRESSION)
+            ax.barh([plain(str(name)) or "none" for name in names], counts / len(values), color=COMPRESSION)
             ax.set_xlim(0.0, 1.0)
     return figure
 

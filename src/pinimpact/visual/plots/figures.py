@@ -14,6 +14,7 @@ from ...errors import InputError
 from ...scene.trajectory import Trajectory
 from .motions import energy, forces
 from .one_impact import Solved, energy_ledger, hodograph, velocities
+from .style import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +36,7 @@ def impact_figure(problem: ImpactProblem, solution: Solution | ManySolution, tit
     if isinstance(solution, ManySolution):
         return _many_figure(impact, len(solution.velocity), title)
     figure = Figure(figsize=(11.5, 6.4), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
     hodograph(impact, ax=figure.add_subplot(grid[:, 0]))
     velocities(impact, ax=figure.add_subplot(grid[:2, 1]))
@@ -48,7 +49,7 @@ def _many_figure(impact: Solved, count: int, title: str) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.5, 4.6 * count + 2.2), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     heights = (*[4.6] * count, 2.2)
     grid = figure.add_gridspec(count + 1, 2, width_ratios=(1.0, 1.4), height_ratios=heights)
     for row in range(count):
@@ -63,7 +64,7 @@ def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
-    energy(trajectory, ax=figure.add_subplot()).set_title(title)
+    energy(trajectory, ax=figure.add_subplot()).set_title(plain(title))
     return figure
 
 
@@ -80,7 +81,7 @@ def forces_figure(trajectory: Trajectory, contacts: str | Sequence[str], title: 
     if not contacts:
         raise InputError("contacts: none given; the figure has a row for each", value=contacts)
     figure = Figure(figsize=(9.0, 0.8 + 1.7 * len(contacts)), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     rows = figure.subplots(len(contacts), 1, sharex=True, squeeze=False)[:, 0]
     for ax, contact in zip(rows, contacts, strict=True):
         forces(trajectory, contact, ax=ax)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from .style import BLACK, COMPRESSION, RESTITUTION, SKY
+from .style import BLACK, COMPRESSION, RESTITUTION, SKY, plain
 
 
 def fit_figure(result: Any) -> Figure:
@@ -27,7 +27,9 @@ def fit_figure(result: Any) -> Figure:
         ax.plot([low, high], [0, 0], color=RESTITUTION, lw=3, solid_capstyle="butt")
         ax.plot(value, 0, "o", color=COMPRESSION)
         margin = 0.5 * (high - low) or 0.1
-        ax.set(xlim=(low - margin, high + margin), yticks=[], xlabel=f"{name} = {value:.4g} ± {error:.2g}")
+        ax.set(
+            xlim=(low - margin, high + margin), yticks=[], xlabel=f"{plain(name)} = {value:.4g} ± {error:.2g}"
+        )
         ax.locator_params(axis="x", nbins=4)
         if row == 0:
             ax.set_title("Parameters, with 95 % intervals")

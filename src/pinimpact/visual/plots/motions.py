@@ -15,7 +15,20 @@ from ...robot.forest import data_of
 from ...robot.names import model_of
 from ...scene.trajectory import Trajectory
 from ..shapes_in_contact import contacts_to_draw
-from .style import BLACK, COMPRESSION, CYCLE, FLOW, GREEN, RESTITUTION, RESUMED, SKY, STICK, axes_for, legend
+from .style import (
+    BLACK,
+    COMPRESSION,
+    CYCLE,
+    FLOW,
+    GREEN,
+    RESTITUTION,
+    RESUMED,
+    SKY,
+    STICK,
+    axes_for,
+    legend,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +69,7 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
     data = data_of(model)
     for k, contact in enumerate(contacts_to_draw(trajectory, trajectory.contacts)):
         values = [contact.gap(model, data, q) for q in states]
-        ax.plot(times, values, color=CYCLE[k % len(CYCLE)], ls=_dash(k), label=contact.label)
+        ax.plot(times, values, color=CYCLE[k % len(CYCLE)], ls=_dash(k), label=plain(contact.label))
     ax.axhline(0.0, color=BLACK, lw=0.5)
     _over_time(ax, trajectory, "gap [m]")
     return ax
@@ -72,7 +85,7 @@ def modes(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
         ax.barh(row, width, 0.7, interval.start, color=MODES[interval.mode], label=interval.mode)
     for impact in trajectory.impacts:
         ax.plot(impact.time, names.index(impact.source), "|", color=BLACK, ms=11, mew=0.9, label="impact")
-    ax.set_yticks(range(len(names)), names)
+    ax.set_yticks(range(len(names)), [plain(name) for name in names])
     ax.set_ylim(len(names) - 0.4, -0.6)
     _over_time(ax, trajectory, "", lines=False)
     return ax
@@ -101,7 +114,7 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
     for interval in trajectory.modes:
         if interval.source == contact and interval.mode == "slip":
             ax.axvspan(interval.start, interval.end, color=COMPRESSION, alpha=0.2, lw=0.0, label="slip")
-    _over_time(ax, trajectory, f"{contact}\n[N]", contact)
+    _over_time(ax, trajectory, f"{plain(contact)}\n[N]", contact)
     return ax
 
 
@@ -169,7 +182,7 @@ def overview(
             trajectory.forces(contact.label, t, side)[2]
             for t, side in zip(times.tolist(), sides, strict=True)
         ]
-        ax[2].plot(times, found, color=CYCLE[k % len(CYCLE)], ls=_dash(k), label=contact.label)
+        ax[2].plot(times, found, color=CYCLE[k % len(CYCLE)], ls=_dash(k), label=plain(contact.label))
     _over_time(ax[2], trajectory, "normal force [N]")
     energy(trajectory, ax=ax[3])
     for above in ax[:3]:

@@ -24,12 +24,24 @@ def axes_for(ax: Any, size: tuple[float, float] = (6.4, 4.4), **options: Any) ->
     return figure.add_subplot(**options)
 
 
+def plain(text: str) -> str:
+    """Return text of users, such as names, so that matplotlib draws it as it is.
+
+    Text between $ would be formulas, and labels that begin with _ would be left out of legends.
+    """
+    return (" " if text.startswith("_") else "") + text.replace("$", r"\$")
+
+
 def legend(ax: Axes, below: bool = False, columns: int = 3, handles: Sequence[Any] | None = None) -> None:
-    """Put a legend to the right of axes or below them, each name once; with `handles` only if given."""
-    once: dict[str, Any] = {}
+    """Put a legend to the right of axes or below them; with `handles` only if given.
+
+    Items with the same name and colour are one entry: a contact may have the name of something else.
+    """
+    once: dict[tuple[str, str], Any] = {}
     found: Sequence[Any] = ax.get_legend_handles_labels()[0] if handles is None else handles
     for handle in found:
-        once.setdefault(str(handle.get_label()), handle)
+        color = handle.get_color() if hasattr(handle, "get_color") else ""
+        once.setdefault((str(handle.get_label()), str(color)), handle)
     if not once:
         return
     place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
@@ -38,4 +50,4 @@ def legend(ax: Axes, below: bool = False, columns: int = 3, handles: Sequence[An
         place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 5.0, "ncols": columns}
     if ax.name == "3d":  # these axes fill the figure, with free space at the top
         place |= {"bbox_to_anchor": (0.5, 1.0), "borderaxespad": 0.0}
-    ax.legend(once.values(), once.keys(), fontsize="small", frameon=False, **place)
+    ax.legend(handles=once.values(), fontsize="small", frameon=False, **place)
