@@ -420,7 +420,8 @@ def accelerate(work, acceleration):
 def set_forces(work, powers):
     """Fill `contact_force` and `scalar_force` from the forces `work.solution`.
 
-    `powers` (2,) is overwritten with those of sliding friction and of moving surfaces [W]. Returns the margin
+    `powers` (2,) is overwritten with those of sliding friction and of moving surfaces [W]; what other forces
+    of contacts do is an error of the step, which the energy residual shows. Returns the margin
     of the forces within Coulomb's law and their bounds (11.6), with tolerances [N]; negative if one is
     violated.
     """
@@ -438,6 +439,7 @@ def set_forces(work, powers):
             force[i, 1] = -mu[i] * directions[i, 1] * solution[m]
             force[i, 2] = solution[m]
             margin = min(margin, force[i, 2] + tolerance[m])
+            friction_power += force[i, 0] * velocity[i, 0] + force[i, 1] * velocity[i, 1]
             m += 1
         else:
             for d in range(3):
@@ -446,8 +448,6 @@ def set_forces(work, powers):
             if mode[i] == STICK:
                 tangent = math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2)
                 margin = min(margin, min(force[i, 2], mu[i] * force[i, 2] - tangent) + tolerance[m - 1])
-        for d in range(2):  # that of normal forces is an error of the step, which the audit is to show
-            friction_power += force[i, d] * velocity[i, d]
         for d in range(3):
             surface_power += force[i, d] * surface[i, d]
     for i in range(len(lower)):
