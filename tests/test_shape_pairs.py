@@ -675,8 +675,9 @@ def test_corners_that_meet_have_no_derivative_by_the_velocity():
     assert found.dv_drestitution == pytest.approx(1e3 * change, abs=1e-9)
 
 
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 @pytest.mark.parametrize("first", "ab")
-def test_order_of_shapes_does_not_matter_where_a_corner_meets_an_edge(first):
+def test_order_of_shapes_does_not_matter_where_a_corner_meets_an_edge(first, scheme):
     """A cube falls on its corner onto an edge of a cube that stands on an edge: the impulse is vertical."""
     box = coal.Box(1.0, 1.0, 1.0)
     robot = two_bodies(box, box)
@@ -689,7 +690,7 @@ def test_order_of_shapes_does_not_matter_where_a_corner_meets_an_edge(first):
     heights = math.sqrt(3.0) / 2.0 + math.sqrt(0.5)
     q = np.array([0.0, 0.0, heights + 0.1, *down.coeffs(), 0.0, 0.0, 0.0, *edge.coeffs()])
     v = np.concatenate([down.matrix().T @ [0.0, 0.0, -1.0], np.zeros(9)])
-    run = simulate(Scene(robot, contacts=contact), q, v, 0.2, scheme="event-driven")
+    run = simulate(Scene(robot, contacts=contact), q, v, 0.2, scheme=scheme)
     # all speed is exchanged along the line through both centres
     assert down.matrix() @ run.v[-1, :3] == pytest.approx([0.0, 0.0, -0.25], abs=1e-9)
     assert edge.matrix() @ run.v[-1, 6:9] == pytest.approx([0.0, 0.0, -0.75], abs=1e-9)

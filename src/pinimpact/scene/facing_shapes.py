@@ -266,7 +266,7 @@ class FacingShapes:
 
         `normal` (3,) is that of the patch; the velocities are those of `_data`. (theory.md, 15.3)
         """
-        if not 0 < len(points) <= 2:
+        if not 0 < len(points) <= 3:  # overlap makes three points of a corner, and faces have more
             return None
 
         def approach() -> Array:

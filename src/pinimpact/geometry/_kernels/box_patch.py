@@ -317,7 +317,9 @@ def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, point
         before, square = (m - 1 if m > 0 else count - 1), 0.0
         for e in range(3):
             square += (polygon[m, e] - polygon[before, e]) ** 2
-        if square <= tolerance * tolerance or polygon[m, 2] > within or found == MOST:
+        # of corners that all coincide, one is kept
+        apart = square > tolerance * tolerance or (found == 0 and m == count - 1)
+        if not apart or polygon[m, 2] > within or found == MOST:
             continue
         gaps[found], kinds[found] = polygon[m, 2], kind
         if cosine >= 1.0 - TIE and polygon[m, 3] == SIDE and polygon[before, 3] == SIDE:
