@@ -451,6 +451,27 @@ def test_invalid_pairs_raise():
         Scene(robot.model, contacts=on_block)
 
 
+@pytest.mark.parametrize("solid", [coal.Box(0.2, 0.2, 0.0), coal.Sphere(0.0), coal.Capsule(0.0, 0.1)])
+def test_shapes_without_volume_raise_with_their_size(solid):
+    robot = shaped_body(solid, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="leaf")
+    with pytest.raises(InputError, match=r"'leaf' has a size of .* m and a thickness of 0 m; only shapes"):
+        Scene(robot, contacts=Contact(geometry="leaf", plane=BLOCK))
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("length", [0.0, 1e-300, 1e-11])
+def test_capsule_without_length_moves_like_a_sphere(scheme, length):
+    """It is dropped beside an edge of the block, so that its normal depends on its place."""
+    ends = []
+    for solid in (coal.Capsule(0.1, length), coal.Sphere(0.1)):
+        robot = shaped_body(solid, pin.Inertia.FromSphere(1.0, 0.1), name="ball")
+        scene = Scene(robot, contacts=Contact(geometry="ball", plane=BLOCK, friction=0.3))
+        motion = simulate(scene, pose(0.53, 0.02, 0.7, 0.3), np.zeros(6), 0.4, scheme=scheme)
+        ends.append(np.concatenate([motion.q[-1], motion.v[-1]]))
+    np.testing.assert_allclose(*ends, atol=1e-8)
+    assert ends[0][7] > 0.1  # pushed away from the edge
+
+
 def test_pairs_out_of_reach_are_excluded():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")

@@ -133,9 +133,11 @@ def sphere(radius: float) -> ConvexShape:
 
 
 def capsule(radius: float, half_length: float) -> ConvexShape:
-    """Return a capsule along z, with half the length of its straight part [m]."""
+    """Return a capsule along z, with half the length of its straight part [m]; without a length, a sphere."""
     import coal
 
+    if half_length <= COINCIDE * radius:
+        return sphere(radius)
     ends = np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]])
     solid = coal.Capsule(radius, 2.0 * half_length)
     return ConvexShape(ends, (), np.array([[0, 1]]), np.zeros((0, 3)), float(radius), solid)
