@@ -29,7 +29,7 @@ from pinimpact import (
     simulate,
 )
 from pinimpact.geometry.convex_pair import gap
-from pinimpact.geometry.convex_shape import hull
+from pinimpact.geometry.convex_shape import box, hull
 from pinimpact.robot.shape_pair import shape_pair
 from pinimpact.scene import progress
 from pinimpact.scene.integrator import Integrator
@@ -470,6 +470,28 @@ def test_capsule_without_length_moves_like_a_sphere(scheme, length):
         ends.append(np.concatenate([motion.q[-1], motion.v[-1]]))
     np.testing.assert_allclose(*ends, atol=1e-8)
     assert ends[0][7] > 0.1  # pushed away from the edge
+
+
+@pytest.mark.parametrize("first", ["brick"])
+def test_tiny_brick_moves_on_large_box_as_on_plane(first):
+    size = 1e-4 * np.array([1.0, 0.8, 0.6])
+    robot = shaped_body(coal.Box(*size), pin.Inertia.FromBox(1.0, *size), name="brick")
+    below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -50.0]))
+    robot.collision_model.addGeometryObject(
+        pin.GeometryObject("floor", 0, 0, below, coal.Box(100.0, 100.0, 100.0))
+    )
+    other = Shape("floor" if first == "brick" else "brick")
+    start = pose(0.0, 0.0, 1.2e-4, roll=0.2, pitch=0.3)
+    v = 1e-2 * np.array([0.5, 0.1, -0.5, 0.3e4, -0.2e4, 0.5e4])  # as for lengths of 1 m and times of 1 s
+    corners, ends = box(size).vertices, []
+    for contact in (Contact(geometry="brick", plane=Plane()), Contact(geometry=first, plane=other)):
+        scene = Scene(robot, contacts=replace(contact, friction=0.3, restitution=0.3))
+        motion = simulate(scene, start, v, 0.015)
+        assert len(motion.impacts) < 100
+        ends.append(pin.XYZQUATToSE3(motion.q[-1]))
+    right, found = (corners @ end.rotation.T + end.translation for end in ends)
+    np.testing.assert_allclose(found, right, atol=1e-8)
+    assert found[:, 2].min() > -1e-10
 
 
 def test_pairs_out_of_reach_are_excluded():

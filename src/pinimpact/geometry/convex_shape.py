@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import NOISE
 from ..arrays import Array, Integers
 from ..errors import InputError
 from .tolerances import COINCIDE, NOT_CONVEX, SAME_DIRECTION
@@ -92,6 +93,12 @@ class PlacedShape:
     def directions(self) -> Array:
         """(k, 3) directions of the edges, in world axes."""
         return self.shape.directions @ self.rotation.T
+
+
+def coincidence(a: ConvexShape, b: ConvexShape) -> float:
+    """Return the distance below which points of two shapes coincide [m]; see `COINCIDE`."""
+    small, large = sorted((a.reach, b.reach))
+    return COINCIDE * small + NOISE * large
 
 
 def cross(a: Array, b: Array) -> Array:
