@@ -472,7 +472,7 @@ def test_capsule_without_length_moves_like_a_sphere(scheme, length):
     assert ends[0][7] > 0.1  # pushed away from the edge
 
 
-@pytest.mark.parametrize("first", ["brick"])
+@pytest.mark.parametrize("first", ["brick", "floor"])
 def test_tiny_brick_moves_on_large_box_as_on_plane(first):
     size = 1e-4 * np.array([1.0, 0.8, 0.6])
     robot = shaped_body(coal.Box(*size), pin.Inertia.FromBox(1.0, *size), name="brick")
