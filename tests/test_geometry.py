@@ -311,6 +311,9 @@ def test_links_out_of_reach_are_excluded():
     scene = Scene(robot).contacts_from_geometry(FLOOR, friction=0.3)
     shapes = {contact.shape for contact in scene.contacts}
     assert shapes == {s.name for s in robot.collision_model.geometryObjects} - {"panda_link0_0"}
+    frames = {robot.model.frames[s.parentFrame].name for s in robot.collision_model.geometryObjects}
+    named = Scene(robot).contacts_from_geometry(FLOOR, sorted(frames))
+    assert {contact.shape for contact in named.contacts} == shapes
     reason = scene.plan()["contact guards"].reason
     assert "panda_link1_0 on floor (152 points), panda_link2_0 on floor (152 points)" in reason
     base = Scene(robot, contacts=Contact(geometry="panda_link0_0", plane=FLOOR))

@@ -31,13 +31,13 @@ def test_displacement_of_arm_is_minimal():
     np.testing.assert_allclose(q, best.x, atol=1e-5)
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.2])
-def test_quadruped_on_its_feet(slope):
+@pytest.mark.parametrize(("slope", "height", "count"), [(0.0, 1.5, 4), (0.2, 1.5, 4), (0.0, 100.0, 3)])
+def test_quadruped_on_its_feet(slope, height, count):
     robot = pinimpact.load_robot("solo12")
     ground = pinimpact.Plane(normal=(np.sin(slope), 0, np.cos(slope)))
-    feet = [pinimpact.Contact(foot, ground, radius=0.01) for foot in FEET]
+    feet = [pinimpact.Contact(foot, ground, radius=0.01) for foot in FEET[:count]]
     q0 = robot.q0.copy()
-    q0[:3] += 0.4, -0.2, 1.5
+    q0[:3] += 0.4, -0.2, height
     q0[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, -0.2, 1.0)).coeffs()
     q = pinimpact.place_in_contact(robot, robot.data, q0, feet)
     assert max(abs(foot.gap(robot, robot.data, q)) for foot in feet) < 1e-11
@@ -50,10 +50,42 @@ def test_quadruped_on_its_feet(slope):
             robot.model, robot.data, q, robot.model.getFrameId(foot), pin.LOCAL_WORLD_ALIGNED
         )[:3].T
         @ ground.normal
-        for foot in FEET
+        for foot in FEET[:count]
     ]
     along = closer - np.linalg.lstsq(np.array(rows).T, closer, rcond=None)[0] @ np.array(rows)
-    assert np.linalg.norm(along) < 1e-5 * np.linalg.norm(closer)
+    assert np.linalg.norm(along) < 1e-7 * np.linalg.norm(closer)
+
+
+@pytest.mark.parametrize(
+    ("joint", "far"),
+    [
+        (pin.JointModelPlanar(), 20.0),
+        (pin.JointModelPlanar(), 70.0),
+        (pin.JointModelFreeFlyer(), 30.0),
+        (pin.JointModelFreeFlyer(), 200.0),
+    ],
+)
+def test_displacement_of_far_base_is_minimal(joint, far):
+    """Compare with scipy's SLSQP, which starts at the base moved without rotation."""
+    model = pin.Model()
+    base = model.addJoint(0, joint, pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.3]))
+    model.addFrame(pin.Frame("tip", base, 0, tip, pin.FrameType.OP_FRAME))
+    data, start = model.createData(), pin.neutral(model)
+    start[0] = far
+    wall = pinimpact.Contact("tip", pinimpact.Plane(normal=(1, 0, 0)))
+    moved = pin.difference(model, start, pinimpact.place_in_contact(model, data, start, wall))
+    best = minimize(
+        lambda x: float(x @ x),
+        np.concatenate([[-far - 0.1], np.zeros(model.nv - 1)]),
+        jac=lambda x: 2.0 * x,
+        constraints={"type": "eq", "fun": lambda x: wall.gap(model, data, pin.integrate(model, start, x))},
+        method="SLSQP",
+        options={"ftol": 1e-15, "maxiter": 500},
+    )
+    assert abs(wall.gap(model, data, pin.integrate(model, start, moved))) < 1e-12 * far
+    assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(best.x), rel=1e-9)
 
 
 def test_joint_limits_are_satisfied():

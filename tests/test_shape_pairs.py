@@ -30,7 +30,7 @@ from pinimpact import (
 )
 from pinimpact.errors import IrregularMotionError
 from pinimpact.geometry.convex_pair import gap
-from pinimpact.geometry.convex_shape import hull
+from pinimpact.geometry.convex_shape import box, hull
 from pinimpact.robot.shape_pair import shape_pair
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
@@ -453,6 +453,49 @@ def test_invalid_pairs_raise():
         Scene(swept, contacts=on_block)
     with pytest.raises(InputError, match="a pinocchio Model has no collision shapes"):
         Scene(robot.model, contacts=on_block)
+
+
+@pytest.mark.parametrize("solid", [coal.Box(0.2, 0.2, 0.0), coal.Sphere(0.0), coal.Capsule(0.0, 0.1)])
+def test_shapes_without_volume_raise_with_their_size(solid):
+    robot = shaped_body(solid, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="leaf")
+    with pytest.raises(InputError, match=r"'leaf' has a size of .* m and a thickness of 0 m; only shapes"):
+        Scene(robot, contacts=Contact(geometry="leaf", plane=BLOCK))
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("length", [0.0, 1e-300, 1e-11])
+def test_capsule_without_length_moves_like_a_sphere(scheme, length):
+    """It is dropped beside an edge of the block, so that its normal depends on its place."""
+    ends = []
+    for solid in (coal.Capsule(0.1, length), coal.Sphere(0.1)):
+        robot = shaped_body(solid, pin.Inertia.FromSphere(1.0, 0.1), name="ball")
+        scene = Scene(robot, contacts=Contact(geometry="ball", plane=BLOCK, friction=0.3))
+        motion = simulate(scene, pose(0.53, 0.02, 0.7, 0.3), np.zeros(6), 0.4, scheme=scheme)
+        ends.append(np.concatenate([motion.q[-1], motion.v[-1]]))
+    np.testing.assert_allclose(*ends, atol=1e-8)
+    assert ends[0][7] > 0.1  # pushed away from the edge
+
+
+@pytest.mark.parametrize("first", ["brick", "floor"])
+def test_tiny_brick_moves_on_large_box_as_on_plane(first):
+    size = 1e-4 * np.array([1.0, 0.8, 0.6])
+    robot = shaped_body(coal.Box(*size), pin.Inertia.FromBox(1.0, *size), name="brick")
+    below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -50.0]))
+    robot.collision_model.addGeometryObject(
+        pin.GeometryObject("floor", 0, 0, below, coal.Box(100.0, 100.0, 100.0))
+    )
+    other = Shape("floor" if first == "brick" else "brick")
+    start = pose(0.0, 0.0, 1.2e-4, roll=0.2, pitch=0.3)
+    v = 1e-2 * np.array([0.5, 0.1, -0.5, 0.3e4, -0.2e4, 0.5e4])  # as for lengths of 1 m and times of 1 s
+    corners, ends = box(size).vertices, []
+    for contact in (Contact(geometry="brick", plane=Plane()), Contact(geometry=first, plane=other)):
+        scene = Scene(robot, contacts=replace(contact, friction=0.3, restitution=0.3))
+        motion = simulate(scene, start, v, 0.015)
+        assert len(motion.impacts) < 100
+        ends.append(pin.XYZQUATToSE3(motion.q[-1]))
+    right, found = (corners @ end.rotation.T + end.translation for end in ends)
+    np.testing.assert_allclose(found, right, atol=1e-8)
+    assert found[:, 2].min() > -1e-10
 
 
 def test_pairs_out_of_reach_are_excluded():

@@ -648,6 +648,18 @@ def test_patch_of_faces_with_coplanar_sides_has_four_corners():
             np.testing.assert_allclose(found[order], corners, atol=1e-12)
 
 
+def test_patch_of_tiny_box_on_large_one_has_its_corners():
+    size, place = 1e-6 * np.array([1.0, 0.8, 0.6]), np.array([3e-6, 2e-6, 0.3e-6])
+    floor = np.eye(3), np.array([0.0, 0.0, -5e3]), np.full(3, 5e3)
+    brick = np.eye(3), place, 0.5 * size
+    corners = place + 0.5 * size * [[x, y, -1] for x in (-1, 1) for y in (-1, 1)]
+    for one, other in ((floor, brick), (brick, floor)):
+        solids = (box(2.0 * half).at(axes, middle) for axes, middle, half in (one, other))
+        for points in (boxes_patch(one, other, 1e-8)[2], patch(*solids, 1e-8).points):
+            order = np.lexsort(points.T[::-1].round(7))
+            np.testing.assert_allclose(points[order], corners, atol=1e-11)
+
+
 def redundant_problem(rng):
     """Return mass matrix, Jacobian, free velocities and μ of one or two bodies with 4 to 8 contacts each."""
     bodies, points = rng.integers(1, 3), rng.integers(4, 9)

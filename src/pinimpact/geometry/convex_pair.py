@@ -13,7 +13,7 @@ import numpy as np
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Bools, Integers
 from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
-from .convex_shape import PlacedShape, cross
+from .convex_shape import PlacedShape, coincidence, cross
 from .tolerances import CLOSE, COAL_ERROR, COINCIDE, FACING, GJK, LOCAL, TIE
 
 
@@ -86,7 +86,7 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
         if found is not None:
             return Gap(found.value - radius, found.normal)
     best = separation(a, b, normal if near is None else near)
-    if best.value <= max(0.1 * value, COINCIDE * size):  # other edges may separate them further
+    if best.value <= max(0.1 * value, coincidence(a.shape, b.shape)):  # other edges may separate them further
         best = max(best, separation(a, b), key=lambda one: one.value)
     return Gap(best.value - radius, best.normal)
 
@@ -179,7 +179,7 @@ def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
     axes = np.concatenate([b.normals, -a.normals, crossed])
     values = (axes @ a.vertices.T).min(axis=1) - (axes @ b.vertices.T).max(axis=1)
     best = float(values.max())
-    tie = max(COINCIDE * (a.shape.reach + b.shape.reach), 2.0 * abs(best))
+    tie = max(coincidence(a.shape, b.shape), 2.0 * abs(best))
     found = []
     for k in np.flatnonzero(values >= best - tie).tolist():
         edge = k - len(b.normals) - len(a.normals)
@@ -226,7 +226,7 @@ def _between_cores(a: PlacedShape, b: PlacedShape, normal: Array) -> Gap | None:
     between = [touch.point - touch.other for touch in touches]
     lengths = [float(np.linalg.norm(difference)) for difference in between]
     k = int(np.argmin(lengths))
-    if lengths[k] <= COINCIDE * (a.shape.reach + b.shape.reach) or between[k] @ normal < 0.0:
+    if lengths[k] <= coincidence(a.shape, b.shape) or between[k] @ normal < 0.0:
         return None
     return Gap(lengths[k], between[k] / lengths[k])
 
@@ -320,7 +320,7 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
     q, beyond = _foot_on_edge(p, b, j) if touch.kind == "vertex-edge" else (b.vertices[j], -math.inf)
     between = p - q
     length = float(np.linalg.norm(between))
-    turned = between / length if length > COINCIDE * (a.shape.reach + b.shape.reach) else normal
+    turned = between / length if length > coincidence(a.shape, b.shape) else normal
     return Followed(touch._replace(point=p, other=q), turned, beyond)
 
 
@@ -375,7 +375,7 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
     pair of features with more corners precedes one with fewer. Features in contact may be behind the extreme
     ones by the tolerance [m].
     """
-    size = a.shape.reach + b.shape.reach
+    near = coincidence(a.shape, b.shape)
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
     radius = a.shape.radius + b.shape.radius
     distinct: list[Touch] = []
@@ -383,9 +383,9 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
         between = touch.point - touch.other
         height = abs(float(between @ normal) - radius)
         across = float(np.linalg.norm(between - (between @ normal) * normal))
-        if height > 4.0 * tolerance or across > COINCIDE * size + math.sqrt(2.0 * tolerance * radius):
+        if height > 4.0 * tolerance or across > near + math.sqrt(2.0 * tolerance * radius):
             continue
-        if all(np.linalg.norm(touch.point - other.point) > COINCIDE * size for other in distinct):
+        if all(np.linalg.norm(touch.point - other.point) > near for other in distinct):
             distinct.append(touch)
     return distinct
 
@@ -394,7 +394,7 @@ def at_one_place(
     touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float
 ) -> list[Touch]:
     """Return a contact point that `touches` returns, and other features that are as close at its place."""
-    near = COINCIDE * (a.shape.reach + b.shape.reach)
+    near = coincidence(a.shape, b.shape)
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
     if touch.kind == "vertex-vertex":  # the closest point of an edge may be its end
         i, j = touch.features

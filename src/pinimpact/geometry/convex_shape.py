@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._numeric.tolerances import NOISE
 from ..arrays import Array, Integers
 from ..errors import InputError
 from .tolerances import COINCIDE, NOT_CONVEX, SAME_DIRECTION
@@ -94,6 +95,12 @@ class PlacedShape:
         return self.shape.directions @ self.rotation.T
 
 
+def coincidence(a: ConvexShape, b: ConvexShape) -> float:
+    """Return the distance below which points of two shapes coincide [m]; see `COINCIDE`."""
+    small, large = sorted((a.reach, b.reach))
+    return COINCIDE * small + NOISE * large
+
+
 def cross(a: Array, b: Array) -> Array:
     """Return a × b (…, 3), in a tenth of the time of `numpy.cross`."""
     (a1, a2, a3), (b1, b2, b3) = a.T, b.T
@@ -133,9 +140,11 @@ def sphere(radius: float) -> ConvexShape:
 
 
 def capsule(radius: float, half_length: float) -> ConvexShape:
-    """Return a capsule along z, with half the length of its straight part [m]."""
+    """Return a capsule along z, with half the length of its straight part [m]; without a length, a sphere."""
     import coal
 
+    if half_length <= COINCIDE * radius:
+        return sphere(radius)
     ends = np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]])
     solid = coal.Capsule(radius, 2.0 * half_length)
     return ConvexShape(ends, (), np.array([[0, 1]]), np.zeros((0, 3)), float(radius), solid)

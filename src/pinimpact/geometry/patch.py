@@ -15,8 +15,8 @@ from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Bools, Integers
 from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
 from .convex_pair import CODES, gap, touches
-from .convex_shape import PlacedShape, cross
-from .tolerances import COINCIDE, FACE, NEAREST, TIE
+from .convex_shape import PlacedShape, coincidence, cross
+from .tolerances import FACE, NEAREST, TIE
 
 
 class Patch(NamedTuple):
@@ -112,7 +112,7 @@ def _on_face(
     polygon = a.vertices[a.shape.faces[int(np.argmax(facing))]] if len(facing) else a.vertices
     corners = b.vertices[b.shape.faces[face]]
     sides = cross(np.roll(corners, -1, axis=0) - corners, normal)
-    tolerance = COINCIDE * a.shape.reach
+    tolerance = coincidence(a.shape, b.shape)
     for side, corner in zip(sides, corners, strict=True):
         polygon = _clipped(polygon, side, float(side @ corner), tolerance * float(np.linalg.norm(side)))
         if not len(polygon):

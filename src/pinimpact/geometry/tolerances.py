@@ -13,8 +13,8 @@ GJK = COAL_ERROR / 100.0
 
 CLOSE = 1e-6
 """Gap below which coal's distance is replaced by one that is exact to rounding: far above `COAL_ERROR` and
-far below the motion of a step. After a separation shapes move by it before new contacts are detected;
-overlaps stay below it unless that fails."""
+far below the motion of a step. Where points leave a face, shapes move by it, relative to the smaller one,
+before new contacts are detected; overlaps stay below it unless that fails."""
 
 LOCAL = 10.0 * CLOSE
 """Distance of a corner behind the extreme one up to which it may belong to the closest feature."""
@@ -22,7 +22,8 @@ LOCAL = 10.0 * CLOSE
 COINCIDE = 1e-9
 """Distance below which points coincide, points lie in a plane or on a line, and all edges of two shapes in
 contact are tried; also the difference of normals of facets of one face, and the sine of the angle of edges
-below which they do not determine a normal."""
+below which they do not determine a normal. For two shapes it is relative to the smaller one, whose features
+it must distinguish, plus `NOISE` of the larger one, the rounding of its coordinates."""
 
 TIE = NOISE
 """Tolerance for equal separations; faces then precede edges."""

@@ -29,7 +29,7 @@ import numpy as np
 from .._numeric.tolerances import LITTLE
 from ..arrays import Array
 from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
-from .convex_shape import PlacedShape, cross
+from .convex_shape import PlacedShape, coincidence, cross
 from .tolerances import COINCIDE, FAR, SAFETY
 
 MAX_ADVANCES = 20_000
@@ -99,14 +99,14 @@ def first_touch(
             fastest = _fastest(at, start, end)
         state = at(t)
         value, near = gap(state.a, state.b, near)
-        size = state.a.shape.reach + state.b.shape.reach
+        closest = coincidence(state.a.shape, state.b.shape)
         turns = [_following_rate(state, value, near)]
         if state.a.shape.radius + state.b.shape.radius > 0.0:
-            if value <= COINCIDE * size:
-                facing = touches(state.a, state.b, near, COINCIDE * size)
+            if value <= closest:
+                facing = touches(state.a, state.b, near, closest)
                 turns += [normal_rate(one, follow(one, state.a, state.b, near), state) for one in facing]
             return [_front(state, value, near, bend, fastest, turn) for turn in turns]
-        if value > COINCIDE * size:
+        if value > closest:
             return [_front(state, value, near, bend, fastest, turns[0])]
         return [
             _front(state, value, one.normal, bend, fastest, _turn(state, one))
@@ -119,10 +119,9 @@ def first_touch(
 def _following_rate(state: PairState, value: float, normal: Array) -> Array:
     """Return the rate (3,) of a normal for which all extreme vertices rise at the same rate."""
     a, b = state.a, state.b
-    size = a.shape.reach + b.shape.reach
-    if value >= FAR * size:
+    if value >= FAR * (a.shape.reach + b.shape.reach):
         return np.zeros(3)
-    behind = max(value, COINCIDE * size)
+    behind = max(value, coincidence(a.shape, b.shape))
     arms, uneven = [], []
     for placed, velocity, sign in ((a, state.velocity_a, 1.0), (b, state.velocity_b, -1.0)):
         heights = sign * (placed.vertices @ normal)

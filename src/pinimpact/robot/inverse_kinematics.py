@@ -9,22 +9,27 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .._numeric.tolerances import HALF_DIGITS, RANK, ROUNDING
+from .._numeric.tolerances import HALF_DIGITS, LITTLE, RANK, ROUNDING
 from ..arrays import Array
 from ..checks import as_tuple
 from ..errors import InputError
 from .contact import Contact, check_contact
 from .data_cache import checked_configuration, data_cache
+from .forest import joint_jacobian
 from .joint_limits import bounds, degrees_hint
 from .matrices import contact_geometry
 from .names import model_of
 
 MAX_STEPS = 100
 SHORTEST_PART = 0.01
-"""Smallest fraction of a Gauss–Newton step in the line search."""
+"""Smallest fraction of a step in the line search."""
 LONGEST_STEP = 0.5
-"""Largest change of a coordinate in one step, except for the position of a free base, in which the problem is
-linear."""
+"""Largest change of an angle in one step [rad]; in coordinates that only translate gaps are about linear."""
+APART = 1e-4
+"""Distance of derivatives whose difference is the second derivative [rad or m]: `pinocchio.dIntegrate` has
+errors of 10⁻¹⁰ of the distance at angles of a milliradian."""
+LEAST_BEND = LITTLE
+"""Least second derivative, relative to that of the distance alone, by which a step is divided."""
 STARTS = 8
 """Number of searches, from increasing distances, until one ends with contact."""
 
@@ -44,7 +49,7 @@ def place_in_contact(
     """Return a configuration near q in which all contacts touch their surfaces.
 
     Among the configurations with zero gaps and joints within their limits, it is a local minimum of the
-    distance from q (`pinocchio.difference`, in metres and radians), found by Gauss–Newton steps.
+    distance from q (`pinocchio.difference`, in metres and radians), found by Newton steps.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
@@ -117,15 +122,13 @@ class _Search:
         self._contacts = contacts
         self._bounds = bounds(model) if limited else np.outer([-np.inf, np.inf], np.ones(model.nq))
         self._lower, self._upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-        self._longest = np.full(model.nv, LONGEST_STEP)
+        self._turns = joint_jacobian(model, data, q)[3:].any(axis=0)
         for joint in range(1, model.njoints):
             at, place, count = model.idx_vs[joint], model.idx_qs[joint], model.nvs[joint]
             if model.nqs[joint] == count:
                 here = q[place : place + count]
                 self._lower[at : at + count] = self._bounds[0, place : place + count] - here
                 self._upper[at : at + count] = self._bounds[1, place : place + count] - here
-            elif model.joints[joint].shortname() == "JointModelFreeFlyer":
-                self._longest[at : at + 3] = np.inf
 
     def configuration(self, x: Array) -> Array:
         """Return q displaced by x, within the limits of its joints."""
@@ -138,20 +141,37 @@ class _Search:
         if not found.closed:
             return found
         for _ in range(MAX_STEPS):
-            gaps, rows, _ = self._gaps(found.x)
-            step = self._least_norm(rows, rows @ found.x - gaps, 0.0) - found.x
-            if float(np.abs(step).max()) <= HALF_DIGITS:
-                break
-            part, distance = 1.0, float(np.linalg.norm(found.x))
+            step = self._shortening(found.x)
+            part, longest = 1.0, (1.0 + ROUNDING) * float(np.linalg.norm(found.x))
             while part >= SHORTEST_PART:
                 closer = self.close(np.clip(found.x + part * step, self._lower, self._upper))
-                if closer.closed and float(np.linalg.norm(closer.x)) < distance:
+                if closer.closed and float(np.linalg.norm(closer.x)) <= longest:
                     break
                 part *= 0.25
             else:
                 break
             found = closer
+            if float(np.abs(step).max()) <= HALF_DIGITS:  # then the next one is rounding
+                break
         return found
+
+    def _shortening(self, x: Array) -> Array:
+        """Return a step (nv,) of Newton's method from a displacement with zero gaps to the least one.
+
+        It is reversed along directions in which the distance bends downwards, as at a maximum.
+        """
+        gaps, rows, _ = self._gaps(x)
+        free = (x > self._lower) & (x < self._upper)
+        forces = np.linalg.lstsq(rows[:, free].T, x[free], rcond=RANK)[0]
+        _, sizes, axes = np.linalg.svd(rows)
+        along = axes[np.count_nonzero(sizes > RANK * sizes.max(initial=0.0)) :]
+        turned = [(self._gaps(x + APART * axis)[1] - rows).T @ forces / APART for axis in along]
+        bent = np.eye(len(along)) - np.reshape(turned, along.shape) @ along.T
+        bends, mixed = np.linalg.eigh(0.5 * (bent + bent.T))
+        along, bends = mixed.T @ along, np.maximum(np.abs(bends), LEAST_BEND)
+        metric = np.eye(len(x)) + (along.T * (bends - 1.0)) @ along
+        centre = along.T @ ((1.0 - 1.0 / bends) * (along @ x))
+        return self._least_norm(rows, rows @ x - gaps, centre, metric) - x
 
     def nearest(self, x: Array) -> Array:
         """Return the displacement that minimizes the sum of the squares of the gaps, from a start."""
@@ -172,8 +192,9 @@ class _Search:
             worst = float(np.abs(gaps).max())
             if worst <= ROUNDING * size:
                 break
-            step = self._least_norm(rows, rows @ x - gaps, x) - x
-            step /= max(1.0, float(np.max(np.abs(step) / self._longest)))
+            scale = np.where(self._turns, 1.0, max(1.0, worst / LONGEST_STEP))  # translations close far gaps
+            step = self._least_norm(rows, rows @ x - gaps, x, np.diag(scale**-2)) - x
+            step /= max(1.0, float(np.abs(step[self._turns]).max(initial=0.0)) / LONGEST_STEP)
             part = 1.0
             while part >= SHORTEST_PART:
                 trial = np.clip(x + part * step, self._lower, self._upper)
@@ -197,14 +218,20 @@ class _Search:
         size = 1.0 + max(float(np.abs(geometry.point).max()) for geometry in found)
         return gaps, np.array([geometry.h for geometry in found]) @ moved, size
 
-    def _least_norm(self, rows: Array, wanted: Array, centre: Array | float) -> Array:
-        """Return the x within its bounds closest to a centre with rows x = wanted, by least squares."""
-        x = np.clip(centre + np.zeros(len(self._lower)), self._lower, self._upper)
+    def _least_norm(self, rows: Array, wanted: Array, centre: Array, metric: Array) -> Array:
+        """Return the x within its bounds closest to a centre with rows x = wanted, by least squares.
+
+        The square of the distance is that of a metric (nv, nv).
+        """
+        x = np.clip(centre, self._lower, self._upper)
         free = np.ones(len(x), dtype=bool)
         for _ in range(len(x)):
-            start = (centre + np.zeros(len(x)))[free]
-            rest = wanted - rows[:, ~free] @ x[~free] - rows[:, free] @ start
-            x[free] = start + np.linalg.lstsq(rows[:, free], rest, rcond=RANK)[0]
+            root = np.linalg.cholesky(metric[np.ix_(free, free)])
+            pulled = np.linalg.solve(root, metric[np.ix_(free, ~free)] @ (centre - x)[~free])
+            scaled = np.linalg.solve(root, rows[:, free].T).T
+            rest = wanted - rows[:, ~free] @ x[~free] - rows[:, free] @ centre[free] - scaled @ pulled
+            moved = pulled + np.linalg.lstsq(scaled, rest, rcond=RANK)[0]
+            x[free] = centre[free] + np.linalg.solve(root.T, moved)
             beyond = (x < self._lower) | (x > self._upper)
             if not beyond.any():
                 break

@@ -18,6 +18,7 @@ from ..geometry._kernels.constants import SOLID
 from ..geometry.convex_shape import ConvexShape, PlacedShape, box, hull, of_collision_geometry, sphere
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector, vector
+from ..geometry.tolerances import COINCIDE
 from .names import frame_id, model_of
 
 
@@ -46,7 +47,17 @@ class CarriedShape:
 def carried(
     model: pin.Model, shape: ConvexShape, key: str | int | None, placement: pin.SE3, name: str
 ) -> CarriedShape:
-    """Return a shape attached to a frame (None: the world) at a placement in its axes."""
+    """Return a shape attached to a frame (None: the world) at a placement in its axes.
+
+    Raises `InputError` for a shape without a volume, whose sides coincide.
+    """
+    if shape.half_thickness <= COINCIDE * shape.reach:
+        raise InputError(
+            f"geometry: {name!r} has a size of {2.0 * shape.reach:.3g} m and a thickness of "
+            f"{2.0 * shape.half_thickness:.3g} m; only shapes with a volume can make contact with another "
+            "shape",
+            value=name,
+        )
     frame = 0 if key is None else frame_id(model, key, "body")
     body = model.frames[frame]
     return CarriedShape(shape, frame, int(body.parentJoint), placement, body.placement * placement, name)

@@ -40,8 +40,13 @@ def link_lengths(model: pin.Model) -> list[float]:
 
 
 def chain_length(model: pin.Model, links: list[float], contact: Contact) -> float:
-    """Return the length of the chain from a contact's first joint to its point [m], at zero travel."""
+    """Return the length of the chain from a contact's first joint to its point [m], at zero travel.
+
+    It is zero for a contact fixed in the world.
+    """
     frame = model.frames[frame_id(model, contact.frame)]
+    if frame.parentJoint == 0:
+        return 0.0
     tip = math.hypot(*frame.placement.act(np.array(contact.offset)).tolist())
     return (
         tip

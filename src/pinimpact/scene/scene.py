@@ -158,7 +158,7 @@ class Scene:
     ) -> Scene:
         """Return this scene with additional contacts of collision shapes with a surface.
 
-        With "all", shapes that cannot move relative to the surface are left out.
+        Shapes that cannot move relative to the surface are left out.
 
         Args:
             surface: The surface.
@@ -173,14 +173,16 @@ class Scene:
         model = self.model
         robot = ShapedRobot(model, self.geometry) if self.geometry is not None else model
         shapes = shapes_of_links(model, collision_model(robot), links)
-        if isinstance(links, str) and links == "all":
-            carrier = 0
-            if isinstance(surface, Solid):
-                carrier = surface.carried_by(robot).joint
-            elif surface.body is not None:
-                carrier = model.frames[frame_id(model, surface.body, "body")].parentJoint
-            shapes = [s for s in shapes if motion_signs(model, s.parentJoint, carrier).any()]
-        added = [Contact(geometry=shape.name, plane=surface, **coefficients) for shape in shapes]
+        carrier = 0
+        if isinstance(surface, Solid):
+            carrier = surface.carried_by(robot).joint
+        elif surface.body is not None:
+            carrier = model.frames[frame_id(model, surface.body, "body")].parentJoint
+        added = [
+            Contact(geometry=shape.name, plane=surface, **coefficients)
+            for shape in shapes
+            if motion_signs(model, shape.parentJoint, carrier).any()
+        ]
         return replace(self, contacts=[*self.contacts, *added])
 
     def _check_sampling(self) -> None:

@@ -19,7 +19,7 @@ from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import cross
 from ..geometry.meeting_edges import normal_of_meeting
-from ..geometry.tolerances import CLOSE, COINCIDE, SAFETY
+from ..geometry.tolerances import CLOSE, SAFETY
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
 from .dense_step import DenseStep
@@ -57,7 +57,7 @@ class ShapeWatch(TouchingPoints):
 
     def _lift(self, watched: Watched) -> float:
         """Return the height over the plane of contact below which corners are taken to lie in it [m]."""
-        return max(4.0 * self.tolerance, COINCIDE * watched.size)
+        return max(4.0 * self.tolerance, watched.coincidence)
 
     def within(self, step: DenseStep, end: float) -> Meeting | None:
         """Return the first change of contact in a step up to a time [s], or None."""
@@ -279,13 +279,14 @@ class ShapeWatch(TouchingPoints):
         return max(self.tolerance, worst)
 
     def _relative_speed(self, watched: Watched, q: Array, v: Array) -> float:
-        """Return a bound of the speeds of points of one shape relative to the other [m/s]."""
+        """Return a bound of the speeds of the smaller shape's points relative to the other [m/s]."""
         pair, data = watched.pair, self._data
         forward_kinematics(self._model, data, q, v)
         one, other = (data.oMi[joint].act(data.v[joint]) for joint in (pair.a.joint, pair.b.joint))
-        motion, center = one - other, pair.placed(data)[0].vertices.mean(axis=0)
-        linear = motion.linear + np.cross(motion.angular, center)
-        return float(np.linalg.norm(linear) + watched.size * np.linalg.norm(motion.angular))
+        motion, i = one - other, self._guarding(watched)
+        touch = follow(watched.points[i].touch, *pair.placed(data), watched.normals[i]).touch
+        linear = motion.linear + np.cross(motion.angular, touch.point)
+        return float(np.linalg.norm(linear) + 2.0 * watched.size * np.linalg.norm(motion.angular))
 
     def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
         """Remove points that leave their faces and edges, and add those in contact slightly later.

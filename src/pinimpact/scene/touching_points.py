@@ -13,8 +13,7 @@ import pinocchio as pin
 from ..arrays import Array, Bools, Integers
 from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
-from ..geometry.convex_shape import PlacedShape
-from ..geometry.tolerances import COINCIDE
+from ..geometry.convex_shape import PlacedShape, coincidence
 from ..robot.contact import contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
@@ -57,8 +56,13 @@ class Watched:
 
     @property
     def size(self) -> float:
-        """Sum of the sizes of both shapes [m]."""
-        return self.pair.a.shape.reach + self.pair.b.shape.reach
+        """Size of the smaller shape [m]."""
+        return min(self.pair.a.shape.reach, self.pair.b.shape.reach)
+
+    @property
+    def coincidence(self) -> float:
+        """Distance below which points of the shapes coincide [m]."""
+        return coincidence(self.pair.a.shape, self.pair.b.shape)
 
     @property
     def points(self) -> dict[int, PointContact]:
@@ -255,7 +259,7 @@ class TouchingPoints:
     def _add(self, watched: Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
         """Assign contacts to the points in contact that have none; return the numbers of these contacts."""
         present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
-        near = COINCIDE * watched.size
+        near = watched.coincidence
         fresh = [
             touch
             for touch in found

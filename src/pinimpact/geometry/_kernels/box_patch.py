@@ -12,6 +12,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
+from ..._numeric.tolerances import NOISE
 from ..tolerances import COINCIDE, FACE, TIE
 from .constants import EDGE, PLANE, TIP_PLANE
 
@@ -38,6 +39,19 @@ def extent(a, half, n1, n2, n3):
     )
 
 
+@inlined
+def reach(half):
+    """Return the distance of a box's corners from its centre [m]."""
+    return math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+
+
+@inlined
+def coincidence(half_a, half_b):
+    """Return the distance below which points of two boxes coincide [m]; see `COINCIDE`."""
+    one, other = reach(half_a), reach(half_b)
+    return COINCIDE * min(one, other) + NOISE * max(one, other)
+
+
 @external
 def separate(a, half_a, b, half_b):
     """Return the separation of two boxes along the best direction, that direction (3), and its kind.
@@ -45,9 +59,7 @@ def separate(a, half_a, b, half_b):
     The kind is 0, 1, 2 for a face of B, 3, 4, 5 for one of A, 6 + 3 i + j for the edges i of A and j of B.
     """
     d1, d2, d3 = a[9] - b[9], a[10] - b[10], a[11] - b[11]
-    size = math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2) + math.sqrt(
-        half_b[0] ** 2 + half_b[1] ** 2 + half_b[2] ** 2
-    )
+    tie = TIE * (reach(half_a) + reach(half_b))
     best, kind, m1, m2, m3 = -math.inf, -1, 0.0, 0.0, 1.0
     for k in range(15):
         if k < 3:
@@ -65,7 +77,7 @@ def separate(a, half_a, b, half_b):
             n1, n2, n3 = n1 / length, n2 / length, n3 / length
         height = n1 * d1 + n2 * d2 + n3 * d3
         value = abs(height) - extent(a, half_a, n1, n2, n3) - extent(b, half_b, n1, n2, n3)
-        if value > best + TIE * size:
+        if value > best + tie:
             sign = 1.0 if height >= 0.0 else -1.0
             best, kind, m1, m2, m3 = value, k, sign * n1, sign * n2, sign * n3
     return best, m1, m2, m3, kind
@@ -192,8 +204,11 @@ def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others)
 
 
 @external
-def nearest_edges(a, half_a, b, half_b, size, points, others):
-    """Write the mean of the closest points of all pairs of edges to the first rows; return the distance."""
+def nearest_edges(a, half_a, b, half_b, tolerance, points, others):
+    """Write the mean of the closest points of all pairs of edges to the first rows; return the distance.
+
+    Pairs whose distances differ by less than the tolerance [m] are equally close.
+    """
     best, count = math.inf, 0
     one, other = np.empty((1, 3)), np.empty((1, 3))
     for i in range(3):
@@ -202,9 +217,9 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
                 p, q = 1.0 - 2.0 * (c % 2), 1.0 - 2.0 * (c // 2 % 2)
                 k, o = 1.0 - 2.0 * (c // 4 % 2), 1.0 - 2.0 * (c // 8)
                 distance, _ = nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, one, other)
-                if distance < best - COINCIDE * size:
+                if distance < best - tolerance:
                     best, count = distance, 0
-                if distance <= best + COINCIDE * size:
+                if distance <= best + tolerance:
                     for e in range(3):
                         before = points[0, e] * count, others[0, e] * count
                         points[0, e] = (before[0] + one[0, e]) / (count + 1) if count else one[0, e]
@@ -239,9 +254,6 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds,
     axis_a, cosine_a = facing_axis(a, n1, n2, n3)
     axis_b, cosine_b = facing_axis(b, n1, n2, n3)
     of_a = kind >= 3 if kind < 6 else abs(cosine_a) > abs(cosine_b)
-    size = math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2) + math.sqrt(
-        half_b[0] ** 2 + half_b[1] ** 2 + half_b[2] ** 2
-    )
     if kind < 6 or max(abs(cosine_a), abs(cosine_b)) >= FACE:
         up_a, up_b = (-1.0 if cosine_a > 0.0 else 1.0), (1.0 if cosine_b > 0.0 else -1.0)
         one, two = (a, half_a, axis_a, up_a), (b, half_b, axis_b, up_b)
@@ -255,8 +267,9 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps, kinds,
             return count
         if value <= 0.0:
             return 0
-        value = nearest_edges(a, half_a, b, half_b, size, points, others)
-        if value <= COINCIDE * size:
+        tolerance = coincidence(half_a, half_b)
+        value = nearest_edges(a, half_a, b, half_b, tolerance, points, others)
+        if value <= tolerance:
             return 0
         for e in range(3):
             normal[e] = (points[0, e] - others[0, e]) / value
@@ -305,7 +318,7 @@ def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, point
     reference. Other arguments as for `clip_face` and `box_patch`.
     """
     polygon = np.empty((2 * MOST, 4))
-    tolerance = COINCIDE * math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2)
+    tolerance = coincidence(half_a, half_b)
     count = clip_face(a, half_a, axis, side, b, half_b, face, up, tolerance, polygon)
     if count == 0:
         return -1
