@@ -57,6 +57,7 @@ class HybridState:
         low_orders_from: Numbers of steps from which orders 5, 3 and 2 may be tried.
         steps, rejected: Numbers of accepted and of rejected steps.
         marked: `steps`, `t` and `v` at the last time at which there was progress.
+        pressed: Largest sum of the weight and the forces of the control at a check of friction so far [N].
         struck: Number of instants with impacts since the motion was resumed.
         islands: (trees,) island of each kinematic tree at rest in time steps, −1 for moving trees.
         resting_forces: Forces on the bodies at rest in time steps.
@@ -99,6 +100,7 @@ class HybridState:
     steps: int = 0
     rejected: int = 0
     marked: tuple[int, float, Array] = (0, 0.0, np.zeros(0))
+    pressed: float = 0.0
     struck: int = 0
 
     islands: Integers | None = None

@@ -27,6 +27,11 @@ below 2, and about 100 where a joint and a contact constrain nearly the same mot
 GAINED = 10.0
 """Largest part of the kinetic energy that friction may add, relative to the relative error of velocities."""
 
+ROLLING = 2.0
+"""Friction of sticking and rolling contacts, relative to the weight plus the forces of controls. Acting over
+the error of velocities it does work that grows with time without being a gain. A rolling point has two such
+errors: of the velocity of the body, and of its rotation."""
+
 
 def ended(instant: Instant, count: int) -> int:
     """Return how many of the last `count` steps have ended at an event."""
@@ -51,8 +56,8 @@ class Progress:
         self._state: HybridState = instant.state
         extent, self._time_scale = sizes
         self._speed, self._error = extent / self._time_scale, options.rtol * extent
-        weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
-        self._little = instant.dynamics.work.gain_tolerance = weight * self._error
+        self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
+        self._little = instant.dynamics.work.gain_tolerance = self._weight * self._error
         self._tolerance = self._error + options.atol
 
     def mark(self) -> None:
@@ -110,12 +115,19 @@ class Progress:
             IrregularMotionError: It does.
         """
         state, work = self._state, self._instant.dynamics.work
-        gained = float((work.start_gain + (step.work_at(until) - step.w)[FRICTION]).max())
+        done = (step.work_at(until) - step.w)[FRICTION]
+        gained, at_once = float((work.start_gain + done).max()), float(done.max())
         if not gained > self._little:
             return
         error = self._instant.dynamics.error(state.v)
+        forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
+        pressed = self._weight + float((np.abs(work.control_force) / work.joint_metres).sum())
+        state.pressed = max(state.pressed, pressed)
+        little = state.pressed * self._error
+        too_much = gained > little + pressed * ROLLING * error * until
+        too_much |= at_once > little + forces * error * (until - step.start)
         kinetic = kinetic_energy(self._model, self._instant.data, state.q, state.v)
-        if gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
+        if too_much and gained * self._instant.dynamics.fastest(state.v) > GAINED * error * kinetic:
             raise IrregularMotionError(
                 f"scene: friction would add {gained:.3g} J at t = {state.t:.6g} s, so that the contact modes "
                 "are wrong; a smaller rtol may help"

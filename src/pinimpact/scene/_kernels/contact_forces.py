@@ -420,10 +420,10 @@ def accelerate(work, acceleration):
 def set_forces(work, powers):
     """Fill `contact_force` and `scalar_force` from the forces `work.solution`.
 
-    `powers` (2,) is overwritten with those of sliding friction and of moving surfaces [W]; what other forces
-    of contacts do is an error of the step, which the energy residual shows. Returns the margin
-    of the forces within Coulomb's law and their bounds (11.6), with tolerances [N]; negative if one is
-    violated.
+    `powers` (2,) is overwritten with those of friction and of moving surfaces [W]. That of normal forces is
+    an error of the step, which the energy residual shows; that of sticking friction too, but where it is
+    large the contact cannot stick. (theory.md, 13.4) Returns the margin of the forces within Coulomb's law
+    and their bounds (11.6), with tolerances [N]; negative if one is violated.
     """
     solution, directions = work.solution, work.slip_direction
     velocity, surface = work.contact_velocity, work.surface_velocity
@@ -439,7 +439,6 @@ def set_forces(work, powers):
             force[i, 1] = -mu[i] * directions[i, 1] * solution[m]
             force[i, 2] = solution[m]
             margin = min(margin, force[i, 2] + tolerance[m])
-            friction_power += force[i, 0] * velocity[i, 0] + force[i, 1] * velocity[i, 1]
             m += 1
         else:
             for d in range(3):
@@ -448,6 +447,8 @@ def set_forces(work, powers):
             if mode[i] == STICK:
                 tangent = math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2)
                 margin = min(margin, min(force[i, 2], mu[i] * force[i, 2] - tangent) + tolerance[m - 1])
+        if mode[i] != HELD:
+            friction_power += force[i, 0] * velocity[i, 0] + force[i, 1] * velocity[i, 1]
         for d in range(3):
             surface_power += force[i, d] * surface[i, d]
     for i in range(len(lower)):
