@@ -10,7 +10,7 @@ from .._numeric.tolerances import ROUNDING
 from ..arrays import Array
 from .convex_pair import ties
 from .convex_shape import PlacedShape
-from .tolerances import LOCAL
+from .tolerances import CLOSE, LOCAL
 
 
 def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Callable[[], Array]) -> Array:
@@ -26,7 +26,8 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: C
         normal: (3,) one of the separating directions, from B to A.
         approach: Returns the velocity (3,) of B relative to A at the point of contact [m/s].
     """
-    if a.shape.radius + b.shape.radius > 0.0:
+    gap = float((a.vertices @ normal).min() - (b.vertices @ normal).max())
+    if a.shape.radius + b.shape.radius > 0.0 or abs(gap) > CLOSE * min(a.shape.reach, b.shape.reach):
         return normal
     directions = np.array([one.normal for one in ties(a, b, normal)])
     if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other

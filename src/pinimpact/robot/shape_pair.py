@@ -23,7 +23,7 @@ from ..geometry.meeting_edges import normal_of_meeting
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
-from ..geometry.tolerances import CLOSE, NEAREST
+from ..geometry.tolerances import NEAREST
 from .contact import Contact
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
@@ -238,7 +238,7 @@ def closest_points(
     size = pair.a.shape.reach + pair.b.shape.reach
     tolerance = NEAREST * size + abs(value)
     touching, met = touches(*placed, normal, tolerance), False
-    if v is not None and touching and abs(value) <= CLOSE * size:
+    if v is not None and touching:
 
         def approach() -> Array:
             points = (point_contact(pair, data, placed, normal, touch, pair.basis) for touch in touching)
