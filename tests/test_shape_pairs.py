@@ -740,3 +740,13 @@ def test_order_of_shapes_does_not_matter_where_a_corner_meets_an_edge(first, sch
     q[2] = heights
     hit = pinimpact.impact(robot, robot.data, q, v, contact)
     assert hit.v == pytest.approx(run.v[-1], abs=1e-9)
+
+
+def test_overlapping_corner_beside_an_edge_strikes_the_face():
+    # the side is as far as the overlap is deep: 1.2 mm and 1 mm
+    robot, contact = cube_beside_block(0.5)
+    down = pin.Quaternion(np.array([1.0, 1.0, 1.0]) / math.sqrt(3.0), np.array([0.0, 0.0, 1.0]))
+    q = np.array([0.4988, 0.0, 0.499 + math.sqrt(3.0) / 2.0, *down.coeffs()])
+    v = np.concatenate([down.matrix().T @ [-0.5, 0.0, -1.0], np.zeros(3)])
+    hit = pinimpact.impact(robot, robot.data, q, v, contact)
+    assert down.matrix() @ hit.v[:3] == pytest.approx([-0.5, 0.0, 0.5], abs=1e-9)
