@@ -15,6 +15,7 @@ from ..geometry._kernels.constants import KIND, PLANE, POINT, RADIUS, SIZE, SPHE
 from ..geometry.convex_pair import Touch
 from ..geometry.meeting_edges import normal_of_meeting
 from ..geometry.patch import Patch, patch
+from ..geometry.tolerances import CLOSE
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ..robot.forest import forward_kinematics
@@ -169,7 +170,7 @@ class FacingShapes:
             forward_kinematics(self._model, self._data, q, v)
         for p in facing:
             pair, count = self._box_pairs[p], int(found.used[p])
-            met = self._meeting(pair, found.normals[p], found.points[p, :count])
+            met = self._meeting(pair, found.normals[p], found.points[p, :count], found.others[p, :count])
             if met is not None:
                 found.normals[p], found.kinds[p] = met, PLANE
             for k in range(count):
@@ -193,7 +194,7 @@ class FacingShapes:
             within = touching if touching >= 0.0 else self._within[p]
             faces = patch(*places.pair.placed(self._data), within) if close[p] else None
             if faces is not None and touching >= 0.0:
-                met = self._meeting(places.pair, faces.normal, faces.points)
+                met = self._meeting(places.pair, faces.normal, faces.points, faces.others)
                 if met is not None:
                     faces = faces._replace(normal=met, kinds=np.full_like(faces.kinds, PLANE))
             self._fill(places, faces, touching >= 0.0)
@@ -261,12 +262,15 @@ class FacingShapes:
         radii = pair.a.shape.radius, pair.b.shape.radius
         fill_contact(self._work.contact_constants[i], tip, base, *given, *radii)
 
-    def _meeting(self, pair: ShapePair, normal: Array, points: Array) -> Array | None:
+    def _meeting(self, pair: ShapePair, normal: Array, points: Array, others: Array) -> Array | None:
         """Return the normal (3,) of edges or corners that meet at some points, None for other contacts.
 
-        `normal` (3,) is that of the patch; the velocities are those of `_data`. (theory.md, 15.3)
+        `normal` (3,), `points` and `others` (k, 3) are those of the patch, and the velocities those of
+        `_data`. (theory.md, 15.3)
         """
         if not 0 < len(points) <= 3:  # overlap makes three points of a corner, and faces have more
+            return None
+        if abs(float((points[0] - others[0]) @ normal)) > CLOSE * (pair.a.shape.reach + pair.b.shape.reach):
             return None
 
         def approach() -> Array:
