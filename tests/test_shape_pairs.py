@@ -750,3 +750,19 @@ def test_overlapping_corner_beside_an_edge_strikes_the_face():
     v = np.concatenate([down.matrix().T @ [-0.5, 0.0, -1.0], np.zeros(3)])
     hit = pinimpact.impact(robot, robot.data, q, v, contact)
     assert down.matrix() @ hit.v[:3] == pytest.approx([-0.5, 0.0, 0.5], abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("offset", [0.0, 3e-4, 7e-4])
+def test_box_slides_over_the_seam_of_two_level_floors(offset, restitution, scheme):
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = [Box(size=(1.0, 1.0, 1.0), center=(x, 0.0, -0.5), name=f"floor {x}") for x in (0.0, 1.0)]
+    contacts = [Contact(geometry="cube", plane=floor, restitution=restitution) for floor in floors]
+    v0 = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    start = pose(0.2 + offset, 0.0, 0.1)
+    trajectory = simulate(Scene(robot, contacts), start, v0, 0.4, scheme=scheme)
+    assert trajectory.v[-1] == pytest.approx(v0, abs=1e-5)
+    assert trajectory.q[-1, :3] == pytest.approx([0.6 + offset, 0.0, 0.1], abs=1e-8)
+    hit = pinimpact.impact(robot, robot.data, pose(0.4, 0.0, 0.1), v0, contacts[1])
+    assert hit.v == pytest.approx(v0, abs=1e-15)

@@ -19,6 +19,8 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: C
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
     directions separate the shapes. Of these it is the one closest to the direction of approach, as for edges
     that are rounded with a small radius. It does not depend on the order of the shapes or of their faces.
+    Shapes that do not approach each other along one of the directions stay apart along it: a box that slides
+    from one face onto another, level with it, does not strike its side.
 
     Args:
         a: The first shape, A.
@@ -34,10 +36,10 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: C
         return normal
     from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
 
-    speed = approach()
-    weights, _ = nnls(directions.T, speed)
+    velocity = approach()
+    closing, rounding = directions @ velocity, ROUNDING * float(np.linalg.norm(velocity))
+    if closing.min() <= rounding:  # they stay apart along this direction
+        return normal if normal @ velocity <= rounding else directions[int(np.argmin(closing))]
+    weights, _ = nnls(directions.T, velocity)
     found = weights @ directions
-    length = float(np.linalg.norm(found))
-    if length <= ROUNDING * float(np.linalg.norm(speed)):
-        return normal
-    return np.asarray(found / length)
+    return np.asarray(found / np.linalg.norm(found))
