@@ -766,3 +766,31 @@ def test_box_slides_over_the_seam_of_two_level_floors(offset, restitution, schem
     assert trajectory.q[-1, :3] == pytest.approx([0.6 + offset, 0.0, 0.1], abs=1e-8)
     hit = pinimpact.impact(robot, robot.data, pose(0.4, 0.0, 0.1), v0, contacts[1])
     assert hit.v == pytest.approx(v0, abs=1e-15)
+
+
+@pytest.mark.parametrize("gap", [(1e-8, 0.0), (-1e-9, 1e-9), (1e-7, 0.0)])
+def test_edges_meet_within_a_small_gap(gap):
+    robot, contact = cube_beside_block(0.5)
+    v = np.array([-1.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    hit = pinimpact.impact(robot, robot.data, pose(1.0 + gap[0], 0.0, 1.0 + gap[1]), v, contact)
+    assert hit.v == pytest.approx([0.5, 0.0, 0.5, 0.0, 0.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "auto", "time-stepping"])
+@pytest.mark.parametrize(("friction", "restitution"), [(0.3, 0.5), (0.3, 0.0), (0.0, 0.5)])
+def test_box_flush_with_the_seam_of_two_floors_moves_as_on_one(friction, restitution, scheme):
+    """Its lower edge lies on the upper edge of the neighbouring floor, which does not support it."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = [Box(size=(1.0, 1.0, 0.2), center=(x, 0.0, -0.1), name=f"floor {x}") for x in (0.0, 1.0)]
+    given = {"friction": friction, "restitution": restitution}
+    contacts = [Contact(geometry="cube", plane=floor, **given) for floor in floors]
+    down, along = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    hit = pinimpact.impact(robot, robot.data, pose(0.4, 0.0, 0.1), down, contacts)
+    assert hit.v == pytest.approx(-restitution * down, abs=1e-12)
+    scene = Scene(robot, contacts)
+    fallen = simulate(scene, pose(0.4, 0.0, 0.15), np.zeros(6), 0.15, scheme=scheme)
+    rises = 0.15 - math.sqrt(0.1 / G)  # since the impact, from 5 cm
+    speed = restitution * math.sqrt(0.1 * G) - G * rises if restitution > 0.0 else 0.0
+    assert fallen.v[-1] == pytest.approx([0.0, 0.0, speed, 0.0, 0.0, 0.0], abs=1e-6)
+    slid = simulate(scene, pose(0.4, 0.0, 0.1), along, 0.15, scheme=scheme)
+    assert slid.v[-1] == pytest.approx((1.0 - friction * G * 0.15) * along, abs=1e-6)

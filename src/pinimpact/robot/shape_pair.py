@@ -237,7 +237,7 @@ def closest_points(
     value, normal = gap(*placed)
     size = pair.a.shape.reach + pair.b.shape.reach
     tolerance = NEAREST * size + abs(value)
-    touching, met = touches(*placed, normal, tolerance), False
+    touching = touches(*placed, normal, tolerance)
     if v is not None and touching:
 
         def approach() -> Array:
@@ -246,16 +246,16 @@ def closest_points(
             return -np.mean([one.velocity(v) @ one.axes for one in now], axis=0)
 
         of_meeting = normal_of_meeting(*placed, normal, approach)
-        met, normal = of_meeting is not normal, of_meeting
-        touching = touches(*placed, normal, tolerance) if met else touching
-    every = [
+        if of_meeting is not normal:
+            points = (point_contact(pair, data, placed, of_meeting, touch, pair.basis) for touch in touching)
+            return [[one._replace(lasting=None, met=True)] for one in points]
+    return [
         [
             point_contact(pair, data, placed, normal, one, pair.basis)
             for one in at_one_place(touch, *placed, normal, tolerance)
         ]
         for touch in touching
     ]
-    return [[one._replace(lasting=None, met=True) for one in place] for place in every] if met else every
 
 
 def known(place: list[PointContact]) -> PointContact:

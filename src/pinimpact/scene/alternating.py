@@ -276,7 +276,7 @@ class Alternating(TimeStepping):
         self.reached = self.mark()
         self._set_crossing(False)
         try:
-            filled = self.shapes.restart(state.q, self._touching)
+            filled = self.shapes.restart(state.q, state.v, self._touching)
             gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
             near = (gaps <= self._touching) & (rates <= work.resting_speed)
             pairs = np.array([c.pair is not None for c in self.dynamics.contacts], dtype=bool)

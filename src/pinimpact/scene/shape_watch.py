@@ -18,7 +18,6 @@ from ..arrays import Array
 from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import cross
-from ..geometry.meeting_edges import normal_of_meeting
 from ..geometry.tolerances import CLOSE, SAFETY
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
@@ -232,16 +231,12 @@ class ShapeWatch(TouchingPoints):
         """Apply a change of contact; return the numbers of the contacts whose gap closes."""
         watched = self._watched(meeting.pair)
         q, v = step.at(meeting.time)
-        self._set(q)
+        forward_kinematics(self._model, self._data, q, v)
         placed = watched.pair.placed(self._data)
         if not watched.points:
             apart = gap(*placed)
             slack = max(self.tolerance, abs(apart.value))
-            touching = touches(*placed, apart.normal, slack)
-            normal = self._normal_of_meeting(watched, step, meeting.time, apart.normal, touching)
-            if normal is not apart.normal:
-                touching = touches(*placed, normal, slack)
-            return self._add(watched, touching, placed, normal)
+            return self._add(watched, *self._touching_along(watched, placed, apart.normal, slack))
         if not meeting.leaving:
             i = self._guarding(watched)
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
@@ -258,16 +253,6 @@ class ShapeWatch(TouchingPoints):
                 watched.update(flush=tuple(flush))
                 return []
         return self._change_features(watched, step, meeting.time, q, v)
-
-    def _normal_of_meeting(
-        self, watched: Watched, step: DenseStep, t: float, normal: Array, touching: list[Touch]
-    ) -> Array:
-        """Return the normal of a pair of shapes that meets at a time [s]; see `normal_of_meeting`."""
-        if not touching:
-            return normal
-        now, place = self._at(watched, step)(t), np.mean([touch.point for touch in touching], axis=0)
-        motion = now.velocity_b - now.velocity_a
-        return normal_of_meeting(now.a, now.b, normal, lambda: motion[:3] + cross(motion[3:], place))
 
     def _slack(self, watched: Watched, placed: Placed) -> float:
         """Return the gap up to which corners count as touching [m]: the tolerance or the constraint drift."""

@@ -13,7 +13,8 @@ import pinocchio as pin
 from ..arrays import Array, Bools, Integers
 from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
-from ..geometry.convex_shape import PlacedShape, coincidence
+from ..geometry.convex_shape import PlacedShape, coincidence, cross
+from ..geometry.meeting_edges import normal_of_meeting
 from ..robot.contact import contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
@@ -177,7 +178,7 @@ class TouchingPoints:
                     )
                 self._state.overlap = overlap
             if found.value <= rounding:
-                self._add(watched, touches(*placed, found.normal, rounding), placed, found.normal)
+                self._add(watched, *self._touching_along(watched, placed, found.normal, rounding))
 
     def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
         """Return the least rate of a corner's height over the other shape along the normal [m/s]."""
@@ -195,7 +196,7 @@ class TouchingPoints:
         work.modes[numbers] = FREE
         self._state.touching = {}
 
-    def restart(self, q: Array, within: float) -> list[int]:
+    def restart(self, q: Array, v: Array, within: float) -> list[int]:
         """Set the contacts of the pairs whose gap or overlap is within a distance [m]; return their numbers.
 
         Raises:
@@ -204,7 +205,7 @@ class TouchingPoints:
         self.clear()
         if not self.places:
             return []
-        self._set(q)
+        forward_kinematics(self._model, self._data, q, v)
         filled: list[int] = []
         for number in np.flatnonzero(self._apart.at(q) <= within).tolist():
             watched = self._watched(number)
@@ -215,8 +216,8 @@ class TouchingPoints:
                     f"contacts: {watched.label!r} overlaps by {-found.value:.3g} m", value=watched.label
                 )
             if found.value <= within:
-                touching = touches(*placed, found.normal, max(within, abs(found.value)))
-                filled += self._add(watched, touching, placed, found.normal)
+                near = max(within, abs(found.value))
+                filled += self._add(watched, *self._touching_along(watched, placed, found.normal, near))
         return filled
 
     def join(self, q: Array, v: Array) -> list[int]:
@@ -232,10 +233,33 @@ class TouchingPoints:
         for watched in map(self._watched, near):
             placed = watched.pair.placed(self._data)
             found = gap(*placed)
-            if found.value <= self.tolerance and self._fastest(watched, placed, found.normal) < 0.0:
-                within = max(self.tolerance, abs(found.value))
-                filled += self._add(watched, touches(*placed, found.normal, within), placed, found.normal)
+            if found.value > self.tolerance:
+                continue
+            within = max(self.tolerance, abs(found.value))
+            points, _, normal = self._touching_along(watched, placed, found.normal, within)
+            if self._fastest(watched, placed, normal) < 0.0:
+                filled += self._add(watched, points, placed, normal)
         return filled
+
+    def _touching_along(
+        self, watched: Watched, placed: Placed, normal: Array, within: float
+    ) -> tuple[list[Touch], Placed, Array]:
+        """Return the points of contact of two shapes, the shapes, and the normal, see `normal_of_meeting`.
+
+        The velocities are those of `_data`; other arguments as in `touches`.
+        """
+        found = touches(*placed, normal, within)
+
+        def approach() -> Array:
+            data, pair = self._data, watched.pair
+            a, b = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
+            place = np.mean([touch.point for touch in found], axis=0)
+            return np.asarray((b - a)[:3] + cross((b - a)[3:], place))
+
+        along = normal_of_meeting(*placed, normal, approach) if found else normal
+        if along is not normal:
+            found = touches(*placed, along, within) or found
+        return found, placed, along
 
     def refresh(self, q: Array) -> None:
         """Update the contacts of touching pairs that impacts use to a configuration."""
