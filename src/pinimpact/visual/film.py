@@ -68,7 +68,7 @@ def turning_times(times: Array, moments: Array, speeds: Array) -> tuple[Array, b
     Args:
         times: (m,) times of frames in order [s].
         moments: (n,) times of a motion in order [s].
-        speeds: (n,) angular speed of the fastest body at these [rad/s].
+        speeds: (n,) bound of the angular speeds of all bodies at these [rad/s].
 
     Returns:
         The times, and whether they are too few, because of `MAX_TURNING`.

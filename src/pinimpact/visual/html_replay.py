@@ -212,7 +212,7 @@ def _motion_page(
     width = width_of_slowness(end - start, speed, slowdown)
     slow_moments = [time for time, on in zip(moments, slow, strict=True) if on]
     times = frame_times(start, end, speed, moments, slow_moments, width)
-    speeds = turning_speeds(model, trajectory.q, trajectory.v)
+    speeds = turning_speeds(model, trajectory.v)
     times, coarse = turning_times(times, trajectory.t, speeds)
     configurations = [trajectory.at(float(t))[0] for t in times]
     data = data_of(model)

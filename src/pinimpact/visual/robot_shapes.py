@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
-from ..robot.forest import data_of, forward_kinematics, frame_placement
+from ..robot.forest import data_of, forward_kinematics, frame_placement, joint_jacobian
 from .impact_marks import short
 from .page_file import Recorder, packed
 from .shapes_in_contact import surface_points
@@ -129,14 +129,17 @@ def joint_poses(model: pin.Model, configurations: Sequence[Array]) -> Array:
     return poses
 
 
-def turning_speeds(model: pin.Model, configurations: Array, velocities: Array) -> Array:
-    """Return the largest angular speed of a joint in world axes at each of n states [rad/s]."""
-    data = data_of(model)
-    speeds = np.zeros(len(configurations))
-    for state, (q, v) in enumerate(zip(configurations, velocities, strict=True)):
-        forward_kinematics(model, data, q, v)
-        speeds[state] = max(np.linalg.norm(data.v[joint].angular) for joint in range(model.njoints))
-    return speeds
+def turning_speeds(model: pin.Model, velocities: Array) -> Array:
+    """Return a bound of the angular speeds of all bodies at velocities (n, nv), (n,) [rad/s].
+
+    It is the largest sum of the speeds of rotation along a chain of joints.
+    """
+    turns = joint_jacobian(model, data_of(model), pin.neutral(model))[3:].any(axis=0)
+    chains = np.zeros((model.njoints, model.nv))
+    for chain, joints in zip(chains, model.supports, strict=True):
+        for joint in joints:
+            chain[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = 1.0
+    return np.asarray((np.abs(velocities) @ (chains * turns).T).max(axis=1))
 
 
 def joints_as_data(poses: Array, wanted: Sequence[int]) -> dict[str, Any]:
