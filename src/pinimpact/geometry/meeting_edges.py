@@ -14,7 +14,7 @@ from .tolerances import CLOSE, LOCAL
 
 
 def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Callable[[], Array]) -> Array:
-    """Return the normal (3,) of contact of two shapes that have just met; `normal` itself unless edges meet.
+    """Return the normal (3,) of contact of two shapes that touch: `normal`, unless edges or corners meet.
 
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
     directions separate the shapes. Of these it is the one closest to the direction of approach, as for edges
@@ -34,12 +34,12 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: C
     directions = np.array([one.normal for one in ties(a, b, normal)])
     if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other
         return normal
-    from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
-
     velocity = approach()
     closing, rounding = directions @ velocity, ROUNDING * float(np.linalg.norm(velocity))
     if closing.min() <= rounding:  # they stay apart along this direction
         return normal if normal @ velocity <= rounding else directions[int(np.argmin(closing))]
+    from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
+
     weights, _ = nnls(directions.T, velocity)
     found = weights @ directions
     return np.asarray(found / np.linalg.norm(found))
