@@ -321,7 +321,7 @@ def _points(robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Any
     if not isinstance(contact, Contact) or contact.geometry is None:
         return [contact]
     if is_pair(robot, contact):
-        return touching_points(robot, data, q, finite_array("v", v, (model_of(robot).nv,)), contact)
+        return touching_points(robot, data, q, v, contact)
     return touching_tips(robot, data, q, contact)
 
 

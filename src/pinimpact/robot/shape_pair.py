@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
-from ..checks import with_valid
+from ..checks import finite_array, with_valid
 from ..errors import InputError
 from ..geometry._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
 from ..geometry.convex_pair import CODES, Touch, at_one_place, gap, touches
@@ -25,6 +25,7 @@ from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
 from ..geometry.tolerances import NEAREST
 from .contact import Contact
+from .forest import forward_kinematics
 from .names import model_of, motion_signs
 from .placed_robot import PlacedRobot
 from .solids import CarriedShape, two_shapes
@@ -71,6 +72,22 @@ class ShapePair:
     def placed(self, data: pin.Data) -> tuple[PlacedShape, PlacedShape]:
         """Return both shapes at their placements, with ``data.oMi`` up to date."""
         return self.a.placed(data), self.b.placed(data)
+
+    def normal_of_contact(self, data: Any, normal: Array, points: Array) -> Array:
+        """Return the normal (3,) of A and B in contact at points (k, 3), see `normal_of_meeting`.
+
+        Args:
+            data: With ``oMi`` and the velocities ``v`` up to date.
+            normal: (3,) one of the separating directions; it is returned itself unless edges or corners meet.
+            points: (k, 3) the points of contact, k > 0 [m].
+        """
+
+        def approach() -> Array:
+            one, other = (data.oMi[side.joint].act(data.v[side.joint]).vector for side in (self.a, self.b))
+            motion = other - one
+            return np.asarray(motion[:3] + cross(motion[3:], points.mean(axis=0)))
+
+        return normal_of_meeting(*self.placed(data), normal, approach)
 
 
 def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
@@ -230,24 +247,19 @@ def closest_points(
     """Return the closest points of two shapes at q (nq,), each as contacts of all features there.
 
     If the velocity v (nv,) is given, edges and corners in contact meet with it. (theory.md, 15.3)
-    Changes ``data.oMi`` and ``data.liMi``.
+    Changes ``data.oMi``, ``data.liMi`` and, with a velocity, ``data.v``.
     """
-    robot_placed = PlacedRobot(robot, data, q)
+    at = PlacedRobot(robot, data, q)
     placed = pair.placed(data)
     value, normal = gap(*placed)
     size = pair.a.shape.reach + pair.b.shape.reach
     tolerance = NEAREST * size + abs(value)
     touching = touches(*placed, normal, tolerance)
     if v is not None and touching:
-
-        def approach() -> Array:
-            points = (point_contact(pair, data, placed, normal, touch, pair.basis) for touch in touching)
-            now = [robot_placed.geometry(point.instant) for point in points]
-            return -np.mean([one.velocity(v) @ one.axes for one in now], axis=0)
-
-        of_meeting = normal_of_meeting(*placed, normal, approach)
-        if of_meeting is not normal:
-            points = (point_contact(pair, data, placed, of_meeting, touch, pair.basis) for touch in touching)
+        forward_kinematics(at.model, data, at.q, finite_array("v", v, (at.model.nv,)))
+        met = pair.normal_of_contact(data, normal, np.array([touch.point for touch in touching]))
+        if met is not normal:
+            points = (point_contact(pair, data, placed, met, touch, pair.basis) for touch in touching)
             return [[one._replace(lasting=None, met=True)] for one in points]
     return [
         [

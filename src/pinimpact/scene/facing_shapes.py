@@ -13,7 +13,6 @@ from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.box_patch import MOST
 from ..geometry._kernels.constants import KIND, PLANE, POINT, RADIUS, SIZE, SPHERE, TIP
 from ..geometry.convex_pair import Touch
-from ..geometry.meeting_edges import normal_of_meeting
 from ..geometry.patch import Patch, patch
 from ..geometry.tolerances import CLOSE
 from ..robot.contact import Contact
@@ -270,16 +269,10 @@ class FacingShapes:
         """
         if not 0 < len(points) <= 3:  # overlap makes three points of a corner, and faces have more
             return None
+        # most are clearly open or overlap, which is known without placing the shapes
         if abs(float((points[0] - others[0]) @ normal)) > CLOSE * (pair.a.shape.reach + pair.b.shape.reach):
             return None
-
-        def approach() -> Array:
-            data, ends = self._data, (pair.a, pair.b)
-            one, other = (data.oMi[end.joint].act(data.v[end.joint]) for end in ends)
-            motion = (other - one).vector
-            return np.asarray(motion[:3] + np.cross(motion[3:], points.mean(axis=0)))
-
-        found = normal_of_meeting(*pair.placed(self._data), normal, approach)
+        found = pair.normal_of_contact(self._data, normal, points)
         met = found is not normal
         self.met |= met
         return found if met else None

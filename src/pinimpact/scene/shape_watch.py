@@ -236,7 +236,8 @@ class ShapeWatch(TouchingPoints):
         if not watched.points:
             apart = gap(*placed)
             slack = max(self.tolerance, abs(apart.value))
-            return self._add(watched, *self._touching_along(watched, placed, apart.normal, slack))
+            points, normal = self._touching_along(watched, placed, apart.normal, slack)
+            return self._add(watched, points, placed, normal)
         if not meeting.leaving:
             i = self._guarding(watched)
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal

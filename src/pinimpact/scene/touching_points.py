@@ -13,8 +13,7 @@ import pinocchio as pin
 from ..arrays import Array, Bools, Integers
 from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
-from ..geometry.convex_shape import PlacedShape, coincidence, cross
-from ..geometry.meeting_edges import normal_of_meeting
+from ..geometry.convex_shape import PlacedShape, coincidence
 from ..robot.contact import contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
@@ -178,7 +177,8 @@ class TouchingPoints:
                     )
                 self._state.overlap = overlap
             if found.value <= rounding:
-                self._add(watched, *self._touching_along(watched, placed, found.normal, rounding))
+                points, normal = self._touching_along(watched, placed, found.normal, rounding)
+                self._add(watched, points, placed, normal)
 
     def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
         """Return the least rate of a corner's height over the other shape along the normal [m/s]."""
@@ -217,7 +217,8 @@ class TouchingPoints:
                 )
             if found.value <= within:
                 near = max(within, abs(found.value))
-                filled += self._add(watched, *self._touching_along(watched, placed, found.normal, near))
+                points, normal = self._touching_along(watched, placed, found.normal, near)
+                filled += self._add(watched, points, placed, normal)
         return filled
 
     def join(self, q: Array, v: Array) -> list[int]:
@@ -236,30 +237,24 @@ class TouchingPoints:
             if found.value > self.tolerance:
                 continue
             within = max(self.tolerance, abs(found.value))
-            points, _, normal = self._touching_along(watched, placed, found.normal, within)
+            points, normal = self._touching_along(watched, placed, found.normal, within)
             if self._fastest(watched, placed, normal) < 0.0:
                 filled += self._add(watched, points, placed, normal)
         return filled
 
     def _touching_along(
         self, watched: Watched, placed: Placed, normal: Array, within: float
-    ) -> tuple[list[Touch], Placed, Array]:
-        """Return the points of contact of two shapes, the shapes, and the normal, see `normal_of_meeting`.
+    ) -> tuple[list[Touch], Array]:
+        """Return the points of contact of two shapes, and their normal, see `ShapePair.normal_of_contact`.
 
         The velocities are those of `_data`; other arguments as in `touches`.
         """
         found = touches(*placed, normal, within)
-
-        def approach() -> Array:
-            data, pair = self._data, watched.pair
-            a, b = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
-            place = np.mean([touch.point for touch in found], axis=0)
-            return np.asarray((b - a)[:3] + cross((b - a)[3:], place))
-
-        along = normal_of_meeting(*placed, normal, approach) if found else normal
-        if along is not normal:
-            found = touches(*placed, along, within) or found
-        return found, placed, along
+        if not found:
+            return found, normal
+        points = np.array([touch.point for touch in found])
+        along = watched.pair.normal_of_contact(self._data, normal, points)
+        return found if along is normal else touches(*placed, along, within) or found, along
 
     def refresh(self, q: Array) -> None:
         """Update the contacts of touching pairs that impacts use to a configuration."""

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..robot.forest import data_of, forward_kinematics, frame_placement, joint_jacobian
+from ..robot.names import motion_signs
 from .impact_marks import short
 from .page_file import Recorder, packed
 from .shapes_in_contact import surface_points
@@ -135,10 +136,7 @@ def turning_speeds(model: pin.Model, velocities: Array) -> Array:
     It is the largest sum of the speeds of rotation along a chain of joints.
     """
     turns = joint_jacobian(model, data_of(model), pin.neutral(model))[3:].any(axis=0)
-    chains = np.zeros((model.njoints, model.nv))
-    for chain, joints in zip(chains, model.supports, strict=True):
-        for joint in joints:
-            chain[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = 1.0
+    chains = np.array([motion_signs(model, joint, 0) for joint in range(model.njoints)])
     return np.asarray((np.abs(velocities) @ (chains * turns).T).max(axis=1))
 
 
