@@ -170,16 +170,17 @@ class Turning(NamedTuple):
     of_a: bool  # whether it is the normal of a face of A, else of B
 
 
-def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
+def ties(a: PlacedShape, b: PlacedShape, near: Array, depth: float = 0.0) -> list[Turning]:
     """Return the separations along all directions that are as good as the best, for cores in contact.
 
-    `near` (3,) is a direction along which they are nearly apart.
+    `near` (3,) is a direction along which they are nearly apart; separations that are less good by up to
+    `depth` [m] are returned too.
     """
     crossed, u, w = _crossed(a, b, near)
     axes = np.concatenate([b.normals, -a.normals, crossed])
     values = (axes @ a.vertices.T).min(axis=1) - (axes @ b.vertices.T).max(axis=1)
     best = float(values.max())
-    tie = max(coincidence(a.shape, b.shape), 2.0 * abs(best))
+    tie = max(coincidence(a.shape, b.shape), 2.0 * abs(best), depth)
     found = []
     for k in np.flatnonzero(values >= best - tie).tolist():
         edge = k - len(b.normals) - len(a.normals)

@@ -1,19 +1,27 @@
-"""The normal where edges or corners of two convex shapes meet, which have many normals. (theory.md, 15)"""
+"""The normal of two convex shapes that several directions separate equally well. (theory.md, 15.3)"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array
-from .convex_pair import ties
-from .convex_shape import PlacedShape
+from .convex_pair import Gap, ties
+from .convex_shape import PlacedShape, coincidence
 from .tolerances import CLOSE, LOCAL
 
 
-def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: Callable[[], Array]) -> Array:
+def normal_of_meeting(
+    a: PlacedShape,
+    b: PlacedShape,
+    normal: Array,
+    approach: Callable[[], Array],
+    slow: float,
+    depth: float,
+) -> Array:
     """Return the normal (3,) of contact of two shapes that touch: `normal`, unless edges or corners meet.
 
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
@@ -27,19 +35,51 @@ def normal_of_meeting(a: PlacedShape, b: PlacedShape, normal: Array, approach: C
         b: The second shape, B.
         normal: (3,) one of the separating directions, from B to A.
         approach: Returns the velocity (3,) of B relative to A at the point of contact [m/s].
+        slow: Speed up to which shapes in contact do not approach each other [m/s].
+        depth: Overlap up to which they stay apart along such a direction [m].
     """
     gap = float((a.vertices @ normal).min() - (b.vertices @ normal).max())
-    if a.shape.radius + b.shape.radius > 0.0 or abs(gap) > CLOSE * min(a.shape.reach, b.shape.reach):
+    close = max(depth, CLOSE * min(a.shape.reach, b.shape.reach))
+    if a.shape.radius + b.shape.radius > 0.0 or abs(gap) > close:
         return normal
-    directions = np.array([one.normal for one in ties(a, b, normal)])
+    found = ties(a, b, normal, depth)
+    directions, values = np.array([one.normal for one in found]), np.array([one.value for one in found])
     if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other
         return normal
     velocity = approach()
-    closing, rounding = directions @ velocity, ROUNDING * float(np.linalg.norm(velocity))
-    if closing.min() <= rounding:  # they stay apart along this direction
-        return normal if normal @ velocity <= rounding else directions[int(np.argmin(closing))]
+    closing, slow = directions @ velocity, max(slow, ROUNDING * float(np.linalg.norm(velocity)))
+    if closing.min() <= slow:  # they stay apart along this direction
+        return normal if normal @ velocity <= slow else directions[int(np.argmin(closing))]
+    best = values.max()
+    directions = directions[values >= best - max(coincidence(a.shape, b.shape), 2.0 * abs(best))]
+    if np.abs(directions - normal).max() <= LOCAL:
+        return normal
     from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
 
     weights, _ = nnls(directions.T, velocity)
-    found = weights @ directions
-    return np.asarray(found / np.linalg.norm(found))
+    mean = weights @ directions
+    return np.asarray(mean / np.linalg.norm(mean))
+
+
+def last_separated(
+    a: PlacedShape, b: PlacedShape, normal: Array, depth: float, velocity: Callable[[Array], Array]
+) -> Gap:
+    """Return the overlap of two cores along the direction along which they were apart last.
+
+    Args:
+        a: The first shape, A.
+        b: The second shape, B.
+        normal: (3,) the direction of the least overlap, from B to A.
+        depth: How much larger the overlap along other directions may be [m].
+        velocity: Returns the velocity (3,) of A's material relative to B's at a point (3,) [m/s].
+    """
+    last, found = -math.inf, Gap(0.0, normal)
+    for one in ties(a, b, normal, depth):
+        tips, against = (b, -one.normal) if one.of_a and one.edges is None else (a, one.normal)
+        heights = tips.vertices @ against
+        tip = tips.vertices[heights <= heights.min() + LOCAL * tips.shape.reach].mean(axis=0)
+        closing = -float(velocity(tip) @ one.normal)
+        time = one.value / closing if closing > 0.0 else -math.inf
+        if time > last:
+            last, found = time, Gap(one.value, one.normal)
+    return found

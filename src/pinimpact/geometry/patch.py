@@ -14,7 +14,7 @@ import numpy as np
 from .._numeric.tolerances import ROUNDING
 from ..arrays import Array, Bools, Integers
 from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
-from .convex_pair import CODES, gap, touches
+from .convex_pair import CODES, Gap, gap, touches
 from .convex_shape import PlacedShape, coincidence, cross
 from .tolerances import FACE, NEAREST, TIE
 
@@ -33,8 +33,11 @@ class Patch(NamedTuple):
 def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
     """Return the contact patch of two shapes within a distance [m], None if they are apart."""
     found = gap(a, b)
-    if found.value > within:
-        return None
+    return None if found.value > within else patch_along(a, b, found, within)
+
+
+def patch_along(a: PlacedShape, b: PlacedShape, found: Gap, within: float) -> Patch | None:
+    """Return the contact patch of two shapes along the direction of their gap or overlap; see `patch`."""
     normal = found.normal
     facing_a = -a.normals @ normal if len(a.shape.faces) else np.zeros(0)
     facing_b = b.normals @ normal if len(b.shape.faces) else np.zeros(0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,10 +16,10 @@ from ..arrays import Array
 from ..checks import finite_array, with_valid
 from ..errors import InputError
 from ..geometry._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
-from ..geometry.convex_pair import CODES, Touch, at_one_place, gap, touches
+from ..geometry.convex_pair import CODES, Gap, Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
-from ..geometry.meeting_edges import normal_of_meeting
+from ..geometry.meeting_edges import last_separated, normal_of_meeting
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
@@ -73,21 +73,33 @@ class ShapePair:
         """Return both shapes at their placements, with ``data.oMi`` up to date."""
         return self.a.placed(data), self.b.placed(data)
 
-    def normal_of_contact(self, data: Any, normal: Array, points: Array) -> Array:
+    def normal_of_contact(
+        self, data: Any, normal: Array, points: Array, slow: float = 0.0, depth: float = 0.0
+    ) -> Array:
         """Return the normal (3,) of A and B in contact at points (k, 3), see `normal_of_meeting`.
 
         Args:
             data: With ``oMi`` and the velocities ``v`` up to date.
             normal: (3,) one of the separating directions; it is returned itself unless edges or corners meet.
             points: (k, 3) the points of contact, k > 0 [m].
+            slow: Speed up to which they do not approach each other [m/s].
+            depth: Overlap up to which they stay apart along a direction without approach [m].
         """
 
         def approach() -> Array:
-            one, other = (data.oMi[side.joint].act(data.v[side.joint]).vector for side in (self.a, self.b))
-            motion = other - one
-            return np.asarray(motion[:3] + cross(motion[3:], points.mean(axis=0)))
+            return -self._relative_velocity(data)(points.mean(axis=0))
 
-        return normal_of_meeting(*self.placed(data), normal, approach)
+        return normal_of_meeting(*self.placed(data), normal, approach, slow, depth)
+
+    def overlap(self, data: Any, normal: Array, depth: float) -> Gap:
+        """Return the overlap of A and B, which overlap along `normal` (3,) too; see `last_separated`."""
+        return last_separated(*self.placed(data), normal, depth, self._relative_velocity(data))
+
+    def _relative_velocity(self, data: Any) -> Callable[[Array], Array]:
+        """Return the velocity of A's material relative to B's [m/s] as a function of the point [m]."""
+        a, b = (data.oMi[side.joint].act(data.v[side.joint]).vector for side in (self.a, self.b))
+        linear, angular = np.split(a - b, 2)
+        return lambda point: np.asarray(linear + cross(angular, point))
 
 
 def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:

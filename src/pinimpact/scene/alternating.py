@@ -203,9 +203,8 @@ class Alternating(TimeStepping):
         self.work.sliding_friction[:] = 0.0
         self._faces.place(state.q, state.v, 0.0, touching=self._touching)
         gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
-        # the first step stops the contacts that arrive without restitution, unless edges or corners meet
-        collides = self._collides | self._faces.met
-        if (collides & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
+        # the first step stops the contacts that arrive without restitution
+        if (self._located & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
             self._collide()
         self._trigger_events()
 

@@ -12,9 +12,9 @@ import pinocchio as pin
 from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.box_patch import MOST
 from ..geometry._kernels.constants import KIND, PLANE, POINT, RADIUS, SIZE, SPHERE, TIP
-from ..geometry.convex_pair import Touch
-from ..geometry.patch import Patch, patch
-from ..geometry.tolerances import CLOSE
+from ..geometry.convex_pair import Touch, ties
+from ..geometry.patch import Patch, patch, patch_along
+from ..geometry.tolerances import FACING
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner
 from ..robot.forest import forward_kinematics
@@ -28,7 +28,7 @@ from .touching_points import Reserved, TouchingPoints
 
 @dataclass(eq=False)
 class _Places:
-    """The contacts reserved for a pair of shapes that are not both boxes.
+    """The contacts reserved for a pair of shapes.
 
     Attributes:
         pair: The shapes.
@@ -72,7 +72,8 @@ class FacingShapes:
 
     Attributes:
         boxes: Whether there are pairs of boxes, so that `place` evaluates the kinematics of the workspace.
-        met: Whether edges or corners met at the last impact.
+        ties: (contacts,) whether another direction than its normal may come to separate its shapes, so that
+            the normal is known at the instant of contact only.
     """
 
     def __init__(
@@ -88,9 +89,9 @@ class FacingShapes:
         self._dynamics, self._work = dynamics, dynamics.work
         self._near, self._gravity = near, float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
-        self.met = False
         work, every = self._work, shapes.places
         self._blanks, self._kept = shapes.blanks, shapes.reserved
+        self.ties = np.zeros(work.contacts, dtype=bool)
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
         self._ends = work.contact_joints[self._kept]
@@ -110,7 +111,8 @@ class FacingShapes:
         """Set the tables of pairs of boxes, see `facing_boxes.face_boxes`."""
         boxes = {_key(side): side for pair, _ in pairs for side in (pair.a, pair.b)}
         number = {key: k for k, key in enumerate(boxes)}
-        self._box_pairs = [pair for pair, _ in pairs]
+        self._box_places = [_Places(*one) for one in pairs]
+        self._decided_boxes: dict[int, _Places] = {}  # whose corners are not those of the kernel
         self._joints = np.array([box.joint for box in boxes.values()], dtype=np.int64)
         self._boxes = np.zeros((len(boxes), BOX))
         for row, box in zip(self._boxes, boxes.values(), strict=True):
@@ -127,7 +129,9 @@ class FacingShapes:
         self.boxes = count > 0
         points, others = np.zeros((2, count, MOST, 3))
         used, kinds = np.zeros(count, dtype=np.int64), np.zeros((count, MOST), dtype=np.int64)
-        self._facing = FacingBoxes(used, np.zeros((count, 3)), points, others, kinds, np.zeros((count, 2, 3)))
+        self._facing = FacingBoxes(
+            used, np.zeros((count, 3)), points, others, kinds, np.zeros((count, 2, 3)), np.zeros(count)
+        )
 
     def clear(self) -> None:
         """Remove the corners from all reserved contacts."""
@@ -155,28 +159,19 @@ class FacingShapes:
                 Negative: not for impacts.
         """
         self._end_impact()
-        self.met = False
+        self._decided_boxes.clear()
         near = self._near + 8.0 * self._gravity * h * h
         if self.boxes:
             face_boxes(
                 *(self._work, q, v, h, near, touching, self._joints, self._boxes, self._ranges),
-                *(self._blanks, self._rests, self._facing),
+                *(self._blanks, self._rests, self.ties, self._facing),
             )
             self._dynamics.check()
-        found = self._facing
-        facing = np.flatnonzero(found.used).tolist() if touching >= 0.0 else []
-        if facing or self._pairs:
+        facing = (self._facing.used > 0) & ((touching >= 0.0) | self.ties[self._ranges[:, 2]])
+        if facing.any() or self._pairs:
             forward_kinematics(self._model, self._data, q, v)
-        for p in facing:
-            pair, count = self._box_pairs[p], int(found.used[p])
-            met = self._meeting(pair, found.normals[p], found.points[p, :count], found.others[p, :count])
-            if met is not None:
-                found.normals[p], found.kinds[p] = met, PLANE
-            for k in range(count):
-                i, ends = self._ranges[p, 2] + k, (found.points[p, k], found.others[p, k])
-                if met is not None:
-                    self._write(pair, i, (met, *ends, PLANE, found.edges[p]))
-                self._strike(pair, i, found.normals[p], ends)
+        for p in np.flatnonzero(facing).tolist():
+            self._decide_boxes(p, touching)
         if not self._pairs:
             return
         joints = self._spheres.joints[self._spheres.sides]
@@ -191,11 +186,13 @@ class FacingShapes:
                     self._strike(places.pair, i, corner.normal, (corner.point, corner.other))
                 continue
             within = touching if touching >= 0.0 else self._within[p]
-            faces = patch(*places.pair.placed(self._data), within) if close[p] else None
-            if faces is not None and touching >= 0.0:
-                met = self._meeting(places.pair, faces.normal, faces.points, faces.others)
-                if met is not None:
-                    faces = faces._replace(normal=met, kinds=np.full_like(faces.kinds, PLANE))
+            placed = places.pair.placed(self._data)
+            faces = patch(*placed, within) if close[p] else None
+            if faces is not None and not (places.pair.a.shape.radius or places.pair.b.shape.radius):
+                others = np.array([one.normal for one in ties(*placed, faces.normal, within)])
+                self.ties[places.numbers] = tie = bool((others @ faces.normal < FACING).any())
+                if tie:
+                    faces = self._decided(places.pair, faces, within, touching)
             self._fill(places, faces, touching >= 0.0)
 
     def _may_touch(self, h: float, near: float, touching: float) -> Bools:
@@ -225,15 +222,36 @@ class FacingShapes:
     def corners(self) -> dict[int, Corner]:
         """Return the corners that the last `place` assigned, by number of the contact."""
         found: dict[int, Corner] = {}
-        used, *faces = self._facing
+        used, *faces, _ = self._facing
         for p in np.flatnonzero(used).tolist():
             normal, points, others, kinds, edges = (one[p].copy() for one in faces)
             for k in range(int(used[p])):
-                corner = Corner(self._box_pairs[p], normal, points[k], others[k], int(kinds[k]), edges)
+                pair = self._box_places[p].pair
+                corner = Corner(pair, normal, points[k], others[k], int(kinds[k]), edges)
                 found[int(self._ranges[p, 2]) + k] = corner
-        for places in self._pairs:
+        for places in (*self._pairs, *self._decided_boxes.values()):
             found |= {i: places.corners[i] for i in places.numbers[: places.used]}
         return found
+
+    def _decide_boxes(self, p: int, touching: float) -> None:
+        """Replace the patch of a pair of boxes by that of `_decided`; set its contacts for impacts.
+
+        `touching` as in `place`.
+        """
+        first, places = int(self._ranges[p, 2]), self._box_places[p]
+        used, normals, points, others, kinds, edges, within = self._facing
+        count, normal = int(used[p]), normals[p].copy()
+        if not self.ties[first]:
+            for k in range(count):
+                self._strike(places.pair, first + k, normal, (points[p, k], others[p, k]))
+            return
+        ends = points[p, :count].copy(), others[p, :count].copy()
+        gaps = (ends[0] - ends[1]) @ normal
+        found = Patch(normal, *ends, gaps, kinds[p, :count].copy(), edges[p].copy())
+        places.used = count
+        self._fill(places, self._decided(places.pair, found, float(within[p]), touching), touching >= 0.0)
+        used[p] = places.used
+        self._decided_boxes[p] = places
 
     def _fill(self, places: _Places, found: Patch | None, contacts: bool) -> None:
         """Assign the corners of a patch to the contacts of a pair, as the kernel does for boxes."""
@@ -261,21 +279,32 @@ class FacingShapes:
         radii = pair.a.shape.radius, pair.b.shape.radius
         fill_contact(self._work.contact_constants[i], tip, base, *given, *radii)
 
-    def _meeting(self, pair: ShapePair, normal: Array, points: Array, others: Array) -> Array | None:
-        """Return the normal (3,) of edges or corners that meet at some points, None for other contacts.
+    def _decided(self, pair: ShapePair, found: Patch, within: float, touching: float) -> Patch | None:
+        """Return the patch of two shapes that several directions may separate, by their motion.
 
-        `normal` (3,), `points` and `others` (k, 3) are those of the patch, and the velocities those of
-        `_data`. (theory.md, 15.3)
+        Args:
+            pair: The shapes.
+            found: Their patch along the direction of the least overlap.
+            within: Largest gap of points in the patch [m].
+            touching: See `place`.
+
+        Returns:
+            At impacts, the patch with the normal of `normal_of_contact`, None if they do not touch yet: other
+            impacts of this instant may decide. Else that along the direction of `overlap`, if they overlap.
         """
-        if not 0 < len(points) <= 3:  # overlap makes three points of a corner, and faces have more
-            return None
-        # most are clearly open or overlap, which is known without placing the shapes
-        if abs(float((points[0] - others[0]) @ normal)) > CLOSE * (pair.a.shape.reach + pair.b.shape.reach):
-            return None
-        found = pair.normal_of_contact(self._data, normal, points)
-        met = found is not normal
-        self.met |= met
-        return found if met else None
+        least = float(found.gaps.min())
+        if touching >= 0.0:
+            if least > self._near:
+                return None
+            slow = self._work.resting_speed
+            normal = pair.normal_of_contact(self._data, found.normal, found.points, slow, self._near)
+            if normal is found.normal:
+                return found
+            return found._replace(normal=normal, kinds=np.full_like(found.kinds, PLANE))
+        if least >= -self._near:
+            return found
+        overlap = pair.overlap(self._data, found.normal, within)
+        return patch_along(*pair.placed(self._data), overlap, within)
 
     def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:
         """Replace a contact of `dynamics.contacts` by that of two points, for an impact."""

@@ -94,7 +94,7 @@ class TimeStepping(Integrator):
         # contacts whose impact law is that of a step (Moreau's) close within its contact problem
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [limit_restitution(scene) == 0.0] * len(self.dynamics.limits)
-        self._collides = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
+        self._located = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
         self._restitution, self._stiffness = np.zeros(len(alike)), Stiffness()
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
@@ -190,11 +190,20 @@ class TimeStepping(Integrator):
         state.step_before = h
         t, pushed = state.t, state.pushed
         self._faces.place(middle, v, h)
+        ties = np.zeros(len(self._located), dtype=bool)
+        ties[: self.work.contacts] = self._faces.ties
+        self._collides = self._located | ties  # the normal of a tie is known at its instant
         if self.rims:
             self.rims.choose(middle, v, h, self._touching)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
+        near = rows.near(self.work.contacts)
+        if (ties & ~self._located)[near[found.arrives & (found.gap_end < 0.0)]].any():
+            # it depends on which contacts close before
+            self._collides[:], state.pushed = True, pushed
+            rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
+            near = rows.near(self.work.contacts)
         if may_be_halved and self._stiffness.rejects(float(found.stiffness[0]), h):
             state.pushed, state.step_before = before
             return PASSED
@@ -205,7 +214,6 @@ class TimeStepping(Integrator):
             return PASSED
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
-        near = rows.near(self.work.contacts)
         stops = found.fast & self._collides[near] & (found.impulse[rows.normals] > 0.0)
         if stops.any() and not (strikes or self._left):
             self._unlocated = True

@@ -13,7 +13,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
 from ..._numeric.tolerances import NOISE
-from ..tolerances import COINCIDE, FACE, TIE
+from ..tolerances import COINCIDE, FACE, FACING, TIE
 from .constants import EDGE, PLANE, TIP_PLANE
 
 MOST = 8
@@ -52,35 +52,60 @@ def coincidence(half_a, half_b):
     return COINCIDE * min(one, other) + NOISE * max(one, other)
 
 
+@inlined
+def direction(a, b, k):
+    """Return direction k of those that may separate two boxes, zero if it does not exist.
+
+    0, 1, 2 are normals of faces of B, 3, 4, 5 of A; 6 + 3 i + j is perpendicular to edges i of A and j of B.
+    """
+    if k < 3:
+        return b[3 * k], b[3 * k + 1], b[3 * k + 2]
+    if k < 6:
+        return a[3 * k - 9], a[3 * k - 8], a[3 * k - 7]
+    i, j = (k - 6) // 3, (k - 6) % 3
+    n1 = a[3 * i + 1] * b[3 * j + 2] - a[3 * i + 2] * b[3 * j + 1]
+    n2 = a[3 * i + 2] * b[3 * j] - a[3 * i] * b[3 * j + 2]
+    n3 = a[3 * i] * b[3 * j + 1] - a[3 * i + 1] * b[3 * j]
+    length = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
+    if length <= COINCIDE:
+        return 0.0, 0.0, 0.0
+    return n1 / length, n2 / length, n3 / length
+
+
+@inlined
+def separation(a, half_a, b, half_b, n1, n2, n3):
+    """Return the separation [m] of two boxes along a direction, and the height [m] of A's centre over B's."""
+    height = n1 * (a[9] - b[9]) + n2 * (a[10] - b[10]) + n3 * (a[11] - b[11])
+    return abs(height) - extent(a, half_a, n1, n2, n3) - extent(b, half_b, n1, n2, n3), height
+
+
 @external
 def separate(a, half_a, b, half_b):
-    """Return the separation of two boxes along the best direction, that direction (3), and its kind.
-
-    The kind is 0, 1, 2 for a face of B, 3, 4, 5 for one of A, 6 + 3 i + j for the edges i of A and j of B.
-    """
-    d1, d2, d3 = a[9] - b[9], a[10] - b[10], a[11] - b[11]
+    """Return the separation of two boxes along the best direction, that direction (3), and its number."""
     tie = TIE * (reach(half_a) + reach(half_b))
     best, kind, m1, m2, m3 = -math.inf, -1, 0.0, 0.0, 1.0
     for k in range(15):
-        if k < 3:
-            n1, n2, n3 = b[3 * k], b[3 * k + 1], b[3 * k + 2]
-        elif k < 6:
-            n1, n2, n3 = a[3 * k - 9], a[3 * k - 8], a[3 * k - 7]
-        else:
-            i, j = (k - 6) // 3, (k - 6) % 3
-            n1 = a[3 * i + 1] * b[3 * j + 2] - a[3 * i + 2] * b[3 * j + 1]
-            n2 = a[3 * i + 2] * b[3 * j] - a[3 * i] * b[3 * j + 2]
-            n3 = a[3 * i] * b[3 * j + 1] - a[3 * i + 1] * b[3 * j]
-            length = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
-            if length <= COINCIDE:
-                continue
-            n1, n2, n3 = n1 / length, n2 / length, n3 / length
-        height = n1 * d1 + n2 * d2 + n3 * d3
-        value = abs(height) - extent(a, half_a, n1, n2, n3) - extent(b, half_b, n1, n2, n3)
+        n1, n2, n3 = direction(a, b, k)
+        if n1 == n2 == n3 == 0.0:
+            continue
+        value, height = separation(a, half_a, b, half_b, n1, n2, n3)
         if value > best + tie:
             sign = 1.0 if height >= 0.0 else -1.0
             best, kind, m1, m2, m3 = value, k, sign * n1, sign * n2, sign * n3
     return best, m1, m2, m3, kind
+
+
+@external
+def undecided(a, half_a, b, half_b, normal, depth):
+    """Return whether a very different direction than `normal` separates two boxes as well, up to a depth."""
+    least = separation(a, half_a, b, half_b, normal[0], normal[1], normal[2])[0] - depth
+    for k in range(15):
+        n1, n2, n3 = direction(a, b, k)
+        if n1 == n2 == n3 == 0.0 or abs(n1 * normal[0] + n2 * normal[1] + n3 * normal[2]) >= FACING:
+            continue
+        if separation(a, half_a, b, half_b, n1, n2, n3)[0] >= least:
+            return True
+    return False
 
 
 @inlined

@@ -14,6 +14,7 @@ from ..._compile.declared import (
     INTEGER_ROWS,
     INTEGERS,
     FloatRows,
+    Floats,
     FloatStack,
     IntegerRows,
     Integers,
@@ -22,7 +23,7 @@ from ..._compile.declared import (
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign, filled
 from ...geometry._kernels import constants as layout
-from ...geometry._kernels.box_patch import MOST, box_patch
+from ...geometry._kernels.box_patch import MOST, box_patch, undecided
 from ...geometry._kernels.contact_axes import contact_axes
 from ...robot._kernels.placement import place, rotate, rotate_back
 from .dynamics import compute_kinematics, set_state
@@ -107,6 +108,7 @@ class FacingBoxes(NamedTuple):
         points, others: (p, `MOST`, 3) corners on the first and on the second box [m].
         kinds: (p, `MOST`) codes of the features in contact.
         edges: (p, 2, 3) directions of the edges in contact.
+        within: (p,) distance up to which the boxes have a patch [m].
     """
 
     used: Integers
@@ -115,14 +117,15 @@ class FacingBoxes(NamedTuple):
     others: FloatStack
     kinds: IntegerRows
     edges: FloatStack
+    within: Floats
 
 
 @declared(
     *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-    *(FLAGS, FacingBoxes),
+    *(FLAGS, FLAGS, FacingBoxes),
 )
 @jit
-def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, facing):
+def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rests, ties, facing):
     """Fill the contacts reserved for pairs of boxes with the corners of their patches.
 
     Args:
@@ -136,9 +139,11 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
         pairs: (p, 4) the two boxes, the first contact reserved for them, and the number of these.
         blanks: (contacts, constants) constants of unused contacts.
         rests: (nj,) joints at rest, including the world; pairs of these keep their patches.
+        ties: (contacts,) is overwritten for these contacts: whether in this time another direction than the
+            normal may come to separate the boxes.
         facing: The `FacingBoxes`, which is updated.
     """
-    used, normals, points, others, kinds, edges = facing
+    used, normals, points, others, kinds, edges, extents = facing
     set_state(work, q, v)
     compute_kinematics(work)
     placed, speeds, gaps = np.empty((len(boxes), 12)), np.empty(len(boxes)), np.empty(MOST)
@@ -147,19 +152,20 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
         a, b, first, room = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
         if rests[joints[a]] and rests[joints[b]]:
             continue
-        within = touching if touching >= 0.0 else h * (speeds[a] + speeds[b]) + near
+        within = extents[p] = touching if touching >= 0.0 else h * (speeds[a] + speeds[b]) + near
         reach = boxes[a, REACH] + boxes[b, REACH] + within
         square = 0.0
         for e in range(9, 12):
             square += (placed[a, e] - placed[b, e]) ** 2
-        found = 0
+        found, half_a, half_b = 0, boxes[a, HALF:REACH], boxes[b, HALF:REACH]
         if square <= reach * reach:
-            half_a, half_b = boxes[a, HALF:REACH], boxes[b, HALF:REACH]
             found = box_patch(
                 *(placed[a], half_a, placed[b], half_b, within),
                 *(normals[p], points[p], others[p], gaps, kinds[p], edges[p]),
             )
+        tie = found > 0 and undecided(placed[a], half_a, placed[b], half_b, normals[p], within)
         for k in range(min(found, room)):
+            ties[first + k] = tie
             fill_contact(
                 *(work.contact_constants[first + k], work.placements[joints[a]], work.placements[joints[b]]),
                 *(normals[p], points[p, k], others[p, k], kinds[p, k], edges[p], 0.0, 0.0),
