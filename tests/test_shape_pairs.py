@@ -829,3 +829,77 @@ def test_box_flush_with_the_seam_of_two_floors_moves_as_on_one(friction, restitu
     assert fallen.v[-1] == pytest.approx([0.0, 0.0, speed, 0.0, 0.0, 0.0], abs=1e-6)
     slid = simulate(scene, pose(0.4, 0.0, 0.1), along, 0.15, scheme=scheme)
     assert slid.v[-1] == pytest.approx((1.0 - friction * G * 0.15) * along, abs=1e-6)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_ball_rolls_through_a_valley_of_small_angle(scheme, friction):
+    """Both sides are closed at the bottom: the ball leaves one of them more slowly than the speed of rest."""
+    inertia = pin.Inertia.FromSphere(1.0, 0.1)
+    robot = shaped_body(coal.Sphere(0.1), inertia, name="ball")
+    for slope in (0.0, 1e-6, 1e-5, 2e-5, 4e-5, 1e-4, 1e-3):
+        sides = [Plane(normal=(sign * math.sin(slope), 0.0, math.cos(slope))) for sign in (1.0, -1.0)]
+        contacts = [
+            Contact(geometry="ball", plane=replace(side, name=f"side {k}"), friction=friction)
+            for k, side in enumerate(sides)
+        ]
+        start = pose(-0.2, 0.0, 0.1 / math.cos(slope) + 0.2 * math.tan(slope))
+        v0 = np.array([math.cos(slope), 0.0, -math.sin(slope), 0.0, 10.0, 0.0])
+        trajectory = simulate(Scene(robot, contacts), start, v0, 0.4, scheme=scheme)
+        turned = pin.Quaternion(trajectory.q[-1, 3:]).matrix()
+        # gravity and the loss of the velocity across the second side change it in proportion to the slope
+        assert (turned @ trajectory.v[-1, :3])[0] == pytest.approx(1.0, abs=5.0 * slope + 1e-6)
+
+
+def box_on_two_floors(friction=0.0, halves=1):
+    """Return a scene of a cube, or of halves of it welded together, on two floors with a seam at x = 0."""
+    size = np.array([0.2 / halves, 0.2, 0.2])
+    robot = shaped_body(coal.Box(*size), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="half 0")
+    shapes = robot.collision_model
+    if halves == 2:
+        first = shapes.geometryObjects[0]
+        first.placement = pin.SE3(np.eye(3), np.array([-0.05, 0.0, 0.0]))
+        at = pin.SE3(np.eye(3), np.array([0.05, 0.0, 0.0]))
+        shapes.addGeometryObject(pin.GeometryObject("half 1", 1, first.parentFrame, at, coal.Box(*size)))
+    floors = [Box(size=(1.0, 1.0, 0.2), center=(x, 0.0, -0.1), name=f"floor {x}") for x in (-0.5, 0.5)]
+    contacts = [
+        Contact(geometry=f"half {k}", plane=floor, friction=friction)
+        for k in range(halves)
+        for floor in floors
+    ]
+    return Scene(robot, contacts)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize(("halves", "x"), [(1, 0.1), (1, -0.1), (2, 0.0)])
+def test_box_with_a_side_along_the_seam_of_two_floors_spins_freely(halves, x, scheme):
+    spin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 8.0])
+    end = simulate(box_on_two_floors(0.0, halves), pose(x, 0.0, 0.1), spin, 0.05, scheme=scheme)
+    assert end.v[-1] == pytest.approx(spin, abs=1e-6)
+    assert end.q[-1, :3] == pytest.approx([x, 0.0, 0.1], abs=1e-7)
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.95])
+def test_box_slides_along_the_seam_of_two_floors_in_time_steps(friction):
+    """Its lower edge lies on the upper edge of the other floor, and its friction does not press on that."""
+    along = np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
+    end = simulate(box_on_two_floors(friction), pose(0.1, -0.2, 0.1), along, 0.1, scheme="time-stepping")
+    assert end.v[-1] == pytest.approx((1.0 - friction * G * 0.1 / 1.5) * along, abs=1e-6)
+    assert end.q[-1, 2] == pytest.approx(0.1, abs=1e-7)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_leaning_planks_that_fall_against_each_other_move_symmetrically(scheme):
+    """Their upper edges meet; the scene is its own mirror image, without and with the ends on the floor."""
+    plank = coal.Box(0.02, 0.1, 0.4)
+    robot = two_bodies(plank, plank, gravity=True)
+    for joint in (1, 2):
+        robot.model.inertias[joint] = pin.Inertia.FromBox(1.0, 0.02, 0.1, 0.4)
+    contacts = [Contact(geometry="a", plane=Shape("b"), restitution=0.8)]
+    contacts += [Contact(geometry=name, plane=Plane(point=(0, 0, -0.02)), restitution=0.8) for name in "ab"]
+    turned = [pin.Quaternion(pin.utils.rotate("y", angle)).coeffs() for angle in (0.3, -0.3)]
+    q0 = np.array([-0.1, 0.0, 0.2, *turned[0], 0.1, 0.0, 0.2, *turned[1]])
+    end = simulate(Scene(robot, contacts), q0, np.zeros(12), 0.13, scheme=scheme)
+    assert {hit.source.split(" ")[0] for hit in end.impacts} == {"a", "b"}
+    mirrored = np.array([-1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+    assert end.v[-1, 6:] == pytest.approx(mirrored * end.v[-1, :6], abs=1e-5)

@@ -21,7 +21,8 @@ def normal_of_meeting(
     approach: Callable[[], Array],
     slow: float,
     depth: float,
-) -> Array:
+    close: float,
+) -> tuple[Array, bool]:
     """Return the normal (3,) of contact of two shapes that touch: `normal`, unless edges or corners meet.
 
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
@@ -34,31 +35,42 @@ def normal_of_meeting(
         a: The first shape, A.
         b: The second shape, B.
         normal: (3,) one of the separating directions, from B to A.
-        approach: Returns the velocity (3,) of B relative to A at the point of contact [m/s].
+        approach: Returns the velocities (k, 3) of B relative to A at the points of contact [m/s].
         slow: Speed up to which shapes in contact do not approach each other [m/s].
         depth: Overlap up to which they stay apart along such a direction [m].
+        close: Gap or overlap up to which shapes meet [m], if it is larger than `CLOSE`.
+
+    Returns:
+        The normal, and whether edges or corners stay apart along it.
     """
     gap = float((a.vertices @ normal).min() - (b.vertices @ normal).max())
-    close = max(depth, CLOSE * min(a.shape.reach, b.shape.reach))
+    close = max(close, CLOSE * min(a.shape.reach, b.shape.reach))
     if a.shape.radius + b.shape.radius > 0.0 or abs(gap) > close:
-        return normal
+        return normal, False
     found = ties(a, b, normal, depth)
     directions, values = np.array([one.normal for one in found]), np.array([one.value for one in found])
-    if np.abs(directions - normal).max() <= LOCAL:  # one face, or two that lie on each other
-        return normal
-    velocity = approach()
-    closing, slow = directions @ velocity, max(slow, ROUNDING * float(np.linalg.norm(velocity)))
+    if _one_direction(directions, normal):
+        return normal, False
+    velocities = approach()
+    closing = (velocities @ directions.T).max(axis=0)
+    slow = max(slow, ROUNDING * float(np.abs(velocities).max()))
     if closing.min() <= slow:  # they stay apart along this direction
-        return normal if normal @ velocity <= slow else directions[int(np.argmin(closing))]
+        kept = (velocities @ normal).max() <= slow
+        return normal if kept else directions[int(np.argmin(closing))], True
     best = values.max()
     directions = directions[values >= best - max(coincidence(a.shape, b.shape), 2.0 * abs(best))]
-    if np.abs(directions - normal).max() <= LOCAL:
-        return normal
+    if _one_direction(directions, normal):
+        return normal, False
     from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
 
-    weights, _ = nnls(directions.T, velocity)
+    weights, _ = nnls(directions.T, velocities.mean(axis=0))
     mean = weights @ directions
-    return np.asarray(mean / np.linalg.norm(mean))
+    return np.asarray(mean / np.linalg.norm(mean)), False
+
+
+def _one_direction(directions: Array, normal: Array) -> bool:
+    """Return whether all directions (k, 3) are the normal: one face, or two that lie on each other."""
+    return bool(np.abs(directions - normal).max() <= LOCAL)
 
 
 def last_separated(

@@ -74,8 +74,14 @@ class ShapePair:
         return self.a.placed(data), self.b.placed(data)
 
     def normal_of_contact(
-        self, data: Any, normal: Array, points: Array, slow: float = 0.0, depth: float = 0.0
-    ) -> Array:
+        self,
+        data: Any,
+        normal: Array,
+        points: Array,
+        slow: float = 0.0,
+        depth: float = 0.0,
+        close: float = 0.0,
+    ) -> tuple[Array, bool]:
         """Return the normal (3,) of A and B in contact at points (k, 3), see `normal_of_meeting`.
 
         Args:
@@ -84,12 +90,13 @@ class ShapePair:
             points: (k, 3) the points of contact, k > 0 [m].
             slow: Speed up to which they do not approach each other [m/s].
             depth: Overlap up to which they stay apart along a direction without approach [m].
+            close: Gap or overlap up to which they meet, if it is larger than `CLOSE` [m].
         """
 
         def approach() -> Array:
-            return -self._relative_velocity(data)(points.mean(axis=0))
+            return -self._relative_velocity(data)(points)
 
-        return normal_of_meeting(*self.placed(data), normal, approach, slow, depth)
+        return normal_of_meeting(*self.placed(data), normal, approach, slow, depth, close)
 
     def overlap(self, data: Any, normal: Array, depth: float) -> Gap:
         """Return the overlap of A and B, which overlap along `normal` (3,) too; see `last_separated`."""
@@ -269,7 +276,7 @@ def closest_points(
     touching = touches(*placed, normal, tolerance)
     if v is not None and touching:
         forward_kinematics(at.model, data, at.q, finite_array("v", v, (at.model.nv,)))
-        met = pair.normal_of_contact(data, normal, np.array([touch.point for touch in touching]))
+        met, _ = pair.normal_of_contact(data, normal, np.array([touch.point for touch in touching]))
         if met is not normal:
             points = (point_contact(pair, data, placed, met, touch, pair.basis) for touch in touching)
             return [[one._replace(lasting=None, met=True)] for one in points]

@@ -289,22 +289,23 @@ class FacingShapes:
             touching: See `place`.
 
         Returns:
-            At impacts, the patch with the normal of `normal_of_contact`, None if they do not touch yet: other
-            impacts of this instant may decide. Else that along the direction of `overlap`, if they overlap.
+            None if they touch, but stay apart along a direction, or if they do not touch yet at an impact:
+            other impacts of this instant may decide. For shapes that touch, the patch with their
+            `normal_of_contact`; for shapes that overlap, that along the direction of `overlap`.
         """
         least = float(found.gaps.min())
-        if touching >= 0.0:
-            if least > self._near:
-                return None
-            slow = self._work.resting_speed
-            normal = pair.normal_of_contact(self._data, found.normal, found.points, slow, self._near)
-            if normal is found.normal:
-                return found
-            return found._replace(normal=normal, kinds=np.full_like(found.kinds, PLANE))
-        if least >= -self._near:
+        if least > self._near:
+            return None if touching >= 0.0 else found
+        if touching < 0.0 and least < -self._near:
+            overlap = pair.overlap(self._data, found.normal, within)
+            return patch_along(*pair.placed(self._data), overlap, within)
+        given = self._data, found.normal, found.points, self._work.resting_speed
+        normal, apart = pair.normal_of_contact(*given, self._near, touching)
+        if apart:
+            return None
+        if normal is found.normal:
             return found
-        overlap = pair.overlap(self._data, found.normal, within)
-        return patch_along(*pair.placed(self._data), overlap, within)
+        return found._replace(normal=normal, kinds=np.full_like(found.kinds, PLANE))
 
     def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:
         """Replace a contact of `dynamics.contacts` by that of two points, for an impact."""

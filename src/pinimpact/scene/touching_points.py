@@ -253,7 +253,7 @@ class TouchingPoints:
         if not found:
             return found, normal
         points = np.array([touch.point for touch in found])
-        along = watched.pair.normal_of_contact(self._data, normal, points, self._work.resting_speed)
+        along, _ = watched.pair.normal_of_contact(self._data, normal, points, self._work.resting_speed)
         return found if along is normal else touches(*placed, along, within) or found, along
 
     def refresh(self, q: Array) -> None:

@@ -97,12 +97,17 @@ def set_modes(work, t, q, v, slow):
                 drags |= rejected[i] != 0
             elif rejected[i] != 0 and modes[i] == FREE:
                 candidates[i], released = 0 if rejected[i] == SEPARATES else SLIDES, True
-        much = drags or (last and fastest_of(metres, v - before) > CERTAIN * error)
+        change = fastest_of(metres, v - before) if last else 0.0
+        much = drags or change > CERTAIN * error
         if not released and much and certain > error:
             # stopping that changes other velocities by more than the error of a step is rejected (11.8)
             certain, released = error, True
             filled(dragged, 0)  # the contacts that drag these joints may now slide
-        elif not released and drags:
+        elif not released and change > CERTAIN * work.resting_speed:  # no force holds those that separate
+            for i in range(touching):
+                if rejected[i] == SEPARATES:
+                    candidates[i], released = 0, True
+        if not released and drags:
             released = True
             for i in range(touching):
                 if rejected[i] == KEEPS_SLIDING:
@@ -196,10 +201,14 @@ def reject_contacts(work, what, stopped, certain, rejected):
     velocity = what.velocity
     for k in range(len(what.contacts)):
         i = what.contacts[k]
-        if work.modes[i] == FREE and stopped[3 * k + 2]:
+        if stopped[3 * k + 2]:
             if velocity[k, 2] > certain:
                 rejected[i] = SEPARATES
-            elif stopped[3 * k] and math.hypot(velocity[k, 0], velocity[k, 1]) > certain:
+            elif (
+                work.modes[i] == FREE
+                and stopped[3 * k]
+                and math.hypot(velocity[k, 0], velocity[k, 1]) > certain
+            ):
                 rejected[i] = RUBS
 
 
