@@ -152,6 +152,24 @@ def test_separation_with_vanishing_acceleration_takes_few_advances(monkeypatch: 
     assert not found.touches
 
 
+@pytest.mark.parametrize("lean", [0.0, 0.4])
+def test_box_that_spins_onto_level_one_takes_few_advances(
+    lean: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gap is zero up to rounding while the faces slide over each other: the points move along them."""
+    monkeypatch.setattr(touch_time_module, "MAX_ADVANCES", 15)
+    turn = pin.utils.rotate("y", lean)
+    cube = Flight(
+        box((0.2, 0.2, 0.2)),
+        turn @ np.array([-0.2, 0.0, 0.1]),
+        turn @ np.array([0.6, 0.0, 0.0]),
+        turn @ np.array([0.0, 0.0, 5.0]),
+        turn,
+    )
+    floor = Flight(box((2.0, 2.0, 0.2)), turn @ np.array([1.0, 0.0, -0.1]), rotation=turn)
+    assert touch_time(cube, floor, 0.35) == math.inf
+
+
 def test_touch_of_balls_and_capsules_in_closed_form() -> None:
     small, large = (
         Flight(sphere(0.1), (3.0, 0.1, 0.0), (-2.0, 0.0, 0.0)),

@@ -30,6 +30,7 @@ from pinimpact import (
     simulate,
 )
 from pinimpact.errors import IrregularMotionError
+from pinimpact.geometry import touch_time
 from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import box, hull
 from pinimpact.robot.shape_pair import shape_pair
@@ -801,6 +802,24 @@ def test_edges_that_meet_without_restitution_move_alike_in_both_schemes(approach
     assert ends[1].v[-1] == pytest.approx(ends[0].v[-1], abs=1e-5)
     along = v0[[0, 2]] / np.linalg.norm(v0)  # the impulse is along the approach: it turns the cube
     assert abs(ends[0].v[-1, [0, 2]] @ along) < 0.5 * np.linalg.norm(v0)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_box_that_spins_onto_a_level_box_is_followed_in_few_steps(friction, monkeypatch):
+    """Its gap to the second floor is zero up to rounding while it slides over it."""
+    fronts, front = [], touch_time._front
+    monkeypatch.setattr(touch_time, "_front", lambda *given: fronts.append(given) or front(*given))
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = Plane(), Box(size=(2.0, 2.0, 0.2), center=(1.0, 0.0, -0.1))
+    contacts = [Contact(geometry="cube", plane=floor, friction=friction) for floor in floors]
+    v0 = np.array([0.6, 0.0, 0.0, 0.0, 0.0, 5.0])
+    scene, one_floor = Scene(robot, contacts), Scene(robot, contacts[:1])
+    moved, right = (
+        simulate(each, pose(-0.2, 0.0, 0.1), v0, 0.35, scheme="event-driven") for each in (scene, one_floor)
+    )
+    np.testing.assert_allclose(moved.q[-1], right.q[-1], atol=1e-8)
+    np.testing.assert_allclose(moved.v[-1], right.v[-1], atol=1e-7)
+    assert 0 < len(fronts) < 20 * moved.statistics["steps"]
 
 
 @pytest.mark.parametrize("gap", [(1e-8, 0.0), (-1e-9, 1e-9), (1e-7, 0.0)])

@@ -16,7 +16,7 @@ from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, 
 from pinimpact._numeric.augmented_newton import Law, VelocityProblem
 from pinimpact._numeric.tolerances import SOFTEST
 from pinimpact.geometry._kernels.box_patch import box_patch
-from pinimpact.geometry.convex_shape import box
+from pinimpact.geometry.convex_shape import box, capsule, sphere
 from pinimpact.geometry.patch import patch
 from pinimpact.scene._kernels.step_impulses import step_impulses
 
@@ -658,6 +658,66 @@ def test_patch_of_tiny_box_on_large_one_has_its_corners():
         for points in (boxes_patch(one, other, 1e-8)[2], patch(*solids, 1e-8).points):
             order = np.lexsort(points.T[::-1].round(7))
             np.testing.assert_allclose(points[order], corners, atol=1e-11)
+
+
+BEYOND = {
+    "ball": (sphere(0.05), 0.0),
+    "standing capsule": (capsule(0.05, 0.05), 0.0),
+    "lying capsule": (capsule(0.05, 0.05), 0.5 * math.pi),
+}
+"""Round shapes, and rotation about the edge of the box beneath them."""
+
+
+@pytest.mark.parametrize("beyond", [1e-8, 1e-6, 6e-5, 1e-3])
+@pytest.mark.parametrize("top", BEYOND)
+def test_patch_of_round_shape_beyond_side_of_face_is_at_edge(top, beyond):
+    """The normal may be that of the face within 1 mrad, although nothing is above it."""
+    (shape, angle), rng = BEYOND[top], np.random.default_rng(6)
+    turn, brick = pin.utils.rotate("y", angle), box((0.2, 0.2, 0.1))
+    core = shape.vertices @ turn.T  # its lowest and then innermost point is above the outside of the edge
+    tip = core[np.lexsort((core[:, 0], core[:, 2].round(12)))[0]]
+    for apart in (1e-6, 1e-4):
+        place = np.array([0.1 + beyond, 0.01, 0.05 + shape.radius + apart]) - tip
+        axes, middle = pin.exp3(rng.normal(size=3)), rng.normal(size=3)
+        solids = [shape.at(axes @ turn, middle + axes @ place), brick.at(axes, middle)]
+        distance = math.hypot(beyond, shape.radius + apart)
+        for sign, pair in ((1.0, solids), (-1.0, solids[::-1])):
+            found = patch(*pair, 2e-3)
+            assert found is not None
+            np.testing.assert_allclose(found.gaps, [distance - shape.radius], atol=1e-14)
+            normal = np.array([beyond, 0.0, shape.radius + apart]) / distance
+            np.testing.assert_allclose(sign * axes.T @ found.normal, normal, atol=1e-11 / distance)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
+@pytest.mark.parametrize("brick_first", [True, False])
+@pytest.mark.parametrize("height", [0.1, 0.13, 0.2])
+def test_ball_above_a_gap_between_two_bricks_rests_on_their_edges(height, brick_first, dt):
+    """Impacts move the bricks apart by micrometres: the ball is above neither, yet rests on their edges."""
+    solids = {"left": coal.Box(0.2, 0.1, 0.1), "right": coal.Box(0.2, 0.1, 0.1), "ball": coal.Sphere(0.05)}
+    model, shapes = pin.Model(), pin.GeometryModel()
+    for name, solid in solids.items():
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+        is_ball = name == "ball"
+        own = pin.Inertia.FromSphere(1.0, 0.05) if is_ball else pin.Inertia.FromBox(1.0, 0.2, 0.1, 0.1)
+        model.appendBodyToJoint(joint, own, pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3.Identity(), solid))
+    unbounded(model)
+    pairs = [("left", FLOOR), ("right", FLOOR), ("right", Shape("left"))]
+    for name in ("left", "right"):
+        pairs.append((name, Shape("ball")) if brick_first else ("ball", Shape(name)))
+    contacts = [
+        Contact(geometry=name, plane=other, friction=1.0, restitution=0.3, name=f"{k}")
+        for k, (name, other) in enumerate(pairs)
+    ]
+    scene = Scene(model, contacts, geometry=shapes)
+    q0 = np.array([-0.1, 0, 0.05, *UP, 0.1, 0, 0.05, *UP, 0, 0, 0.15 + height, *UP])
+    run = step(scene, q0, np.zeros(18), 0.6, dt)
+    np.testing.assert_allclose(run.q[-1, [2, 9, 16]], [0.05, 0.05, 0.15], atol=1e-5)
+    energy = run.energy.kinetic + run.energy.potential
+    # time steps do not resolve speeds below g dt
+    assert np.diff(energy).max() < 0.5 * 3.0 * (G * dt) ** 2
 
 
 def redundant_problem(rng):

@@ -2,7 +2,7 @@
 
 With a face as the reference, the corners are those of the other shape's face, clipped by the sides of the
 reference face (Sutherland and Hodgman 1974), and their gaps are heights over its plane: they vary smoothly as
-the faces tilt. For edges, points or round shapes, the closest points.
+the faces tilt. For edges, points or round shapes, and beyond the sides of a face, the closest points.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._numeric.tolerances import ROUNDING
+from .._numeric.tolerances import ROUNDING, TINY
 from ..arrays import Array, Bools, Integers
-from ._kernels.constants import EDGE, LINE, PLANE, SPHERE, TIP_PLANE
-from .convex_pair import CODES, Gap, gap, touches
+from ._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
+from .convex_pair import CODES, Gap, gap, nearest_features
 from .convex_shape import PlacedShape, coincidence, cross
-from .tolerances import FACE, NEAREST, TIE
+from .tolerances import FACE, LOCAL, TIE
 
 
 class Patch(NamedTuple):
@@ -44,35 +44,47 @@ def patch_along(a: PlacedShape, b: PlacedShape, found: Gap, within: float) -> Pa
     best_a, best_b = facing_a.max(initial=0.0), facing_b.max(initial=0.0)
     if max(best_a, best_b) >= FACE:
         if best_b >= best_a - TIE:
-            face = int(np.argmax(facing_b))
-            return _on_face(a, b, face, within, facing_a, PLANE)
-        mirrored = _on_face(b, a, int(np.argmax(facing_a)), within, facing_b, TIP_PLANE)
-        if mirrored is None:
-            return None
-        return Patch(-mirrored.normal, mirrored.others, mirrored.points, *mirrored[3:])
+            faces = _on_face(a, b, int(np.argmax(facing_b)), within, facing_a, PLANE)
+        else:
+            faces = _on_face(b, a, int(np.argmax(facing_a)), within, facing_b, TIP_PLANE)
+            if faces is not None:
+                faces = Patch(-faces.normal, faces.others, faces.points, *faces[3:])
+        if faces is not None:
+            return faces
+    if max(best_a, best_b) >= FACE or not (len(a.shape.edges) and len(b.shape.edges)):
+        return _at_closest_points(a, b, found, within)
     kind, edges = PLANE, np.zeros((2, 3))
-    if len(a.shape.edges) and len(b.shape.edges):
-        pair = _foremost_edge(a, -normal), _foremost_edge(b, normal)
-        *ends, crosses = _nearest_of_edges(*pair)
-        near = [ends]
-        if crosses:
-            kind, edges = EDGE, _directions(*pair, normal)
-    else:  # a ball against anything
-        size = a.shape.reach + b.shape.reach
-        found_points = touches(a, b, normal, NEAREST * size + abs(found.value))
-        near = [[touch.point, touch.other] for touch in found_points]
-        if len(found_points) == 1:
-            code = CODES.get(found_points[0].kind, PLANE)
-            if code == LINE:
-                edges = found_points[0].edges(a, b)
-                edges[1] /= np.linalg.norm(edges[1])
-            kind = code if code in (LINE, SPHERE) else PLANE
-    if not near:
+    pair = _foremost_edge(a, -normal), _foremost_edge(b, normal)
+    *ends, crosses = _nearest_of_edges(*pair)
+    if crosses:
+        kind, edges = EDGE, _directions(np.array([one[1] - one[0] for one in pair]), normal)
+    return _of_one_point(a, b, normal, ends, kind, edges)
+
+
+def _at_closest_points(a: PlacedShape, b: PlacedShape, found: Gap, within: float) -> Patch | None:
+    """Return the patch of a ball, or of a shape beyond the sides of a face; None if the cores overlap."""
+    normal, radius = found.normal, a.shape.radius + b.shape.radius
+    if found.value + radius < 0.0:
         return None
-    points = np.array([point for point, _ in near]) - a.shape.radius * normal
-    others = np.array([other for _, other in near]) + b.shape.radius * normal
-    kinds = np.full(len(points), kind)
-    return Patch(normal, points, others, (points - others) @ normal, kinds, edges)
+    every = nearest_features(a, b, normal, LOCAL)
+    touch = min(every, key=lambda one: float(np.linalg.norm(one.point - one.other)))
+    between = touch.point - touch.other
+    length = float(np.linalg.norm(between))
+    if length - radius > within:
+        return None
+    if length > coincidence(a.shape, b.shape):
+        normal = between / length
+    code = CODES.get(touch.kind, PLANE)
+    edges = _directions(touch.edges(a, b), normal) if code in (LINE, EDGE) else np.zeros((2, 3))
+    return _of_one_point(a, b, normal, [touch.point, touch.other], code, edges)
+
+
+def _of_one_point(
+    a: PlacedShape, b: PlacedShape, normal: Array, ends: list[Array], kind: int, edges: Array
+) -> Patch:
+    """Return the patch of one point; `ends` are those of the cores of A and B."""
+    points, others = (ends[0] - a.shape.radius * normal)[None], (ends[1] + b.shape.radius * normal)[None]
+    return Patch(normal, points, others, (points - others) @ normal, np.array([kind]), edges)
 
 
 def _foremost_edge(shape: PlacedShape, direction: Array) -> Array:
@@ -82,12 +94,11 @@ def _foremost_edge(shape: PlacedShape, direction: Array) -> Array:
     return shape.vertices[edges[int(np.argmax(heights[edges].sum(axis=1)))]]
 
 
-def _directions(first: Array, second: Array, normal: Array) -> Array:
-    """Return the unit directions (2, 3) of two segments that are not parallel, u × e along the normal."""
-    both = np.array([one[1] - one[0] for one in (first, second)])
-    both /= np.linalg.norm(both, axis=1)[:, None]
-    both[0] *= np.sign(cross(both[0], both[1]) @ normal)
-    return both
+def _directions(edges: Array, normal: Array) -> Array:
+    """Return the unit directions (2, 3) of edges, u × e of two along the normal; zeros stay zeros."""
+    found = edges / np.maximum(np.linalg.norm(edges, axis=1), TINY)[:, None]
+    found[0] *= np.copysign(1.0, cross(found[0], found[1]) @ normal)
+    return np.asarray(found)
 
 
 def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array, bool]:

@@ -15,7 +15,8 @@ relative to the other, and v and l the largest relative velocity and distance,
 
 For shapes that separate as their contact force decreases, the gap grows like h³ only, which this bound does
 not resolve. A second bound uses the second rates at t that close the gap, and a bound γ h³/6 of the
-third-order term. The bound that reaches farther is used.
+third-order term, from rates along n: shapes that slide over each other keep their gap, however fast they turn
+about n. The bound that reaches farther is used.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def first_touch(
     separate within `MAX_ADVANCES`.
     """
     near: Array | None = None
-    fastest: tuple[float, float] | None = None
+    fastest: _Fastest | None = None
 
     def fronts(t: float) -> list[Front]:
         nonlocal near, fastest
@@ -149,18 +150,30 @@ def _edges_turn(u: Array, w: Array, normal: Array, spin_a: Array, spin_b: Array)
     return np.asarray(rate - (rate @ normal) * normal)
 
 
-def _fastest(at: Callable[[float], PairState], start: float, end: float) -> tuple[float, float]:
-    """Return bounds of the relative acceleration of points [m/s²] and its rate, from samples of a step."""
-    second = third = 0.0
-    before: list[Array] | None = None
-    for t in np.linspace(start, end, 1 + SAMPLES).tolist():
-        state = at(t)
-        now = _accelerations(state, _velocities(state))
-        second = max(second, _most(*now))
-        if before is not None:
-            third = max(third, _most(now[0] - before[0], now[1] - before[1]) * SAMPLES / (end - start))
-        before = now
-    return SAFETY * second, SAFETY * third
+class _Fastest(NamedTuple):
+    """Bounds of the motion of points of two shapes relative to each other, from samples of a step."""
+
+    second: float  # acceleration [m/s²]
+    third: float  # its rate [m/s³]
+    thirds_a: Array  # (k, n, 3), (k, m, 3) rates of the accelerations of the vertices in each interval
+    thirds_b: Array
+
+    def third_along(self, normal: Array) -> float:
+        """Return the bound of the rate of the acceleration along a direction [m/s³]."""
+        a, b = self.thirds_a @ normal, self.thirds_b @ normal
+        return float(max((a.max(axis=1) - b.min(axis=1)).max(), (b.max(axis=1) - a.min(axis=1)).max()))
+
+
+def _fastest(at: Callable[[float], PairState], start: float, end: float) -> _Fastest:
+    """Return the `_Fastest` of a step."""
+    states = [at(t) for t in np.linspace(start, end, 1 + SAMPLES).tolist()]
+    accelerations = [_accelerations(state, _velocities(state)) for state in states]
+    second = SAFETY * max(_most(*both) for both in accelerations)
+    thirds_a, thirds_b = (
+        SAFETY * SAMPLES / (end - start) * np.diff(one, axis=0) for one in zip(*accelerations, strict=True)
+    )
+    third = max(_most(*both) for both in zip(thirds_a, thirds_b, strict=True))
+    return _Fastest(second, third, thirds_a, thirds_b)
 
 
 def _velocities(state: PairState) -> list[Array]:
@@ -189,7 +202,7 @@ def _most(one: Array, other: Array) -> float:
 
 
 def _front(
-    state: PairState, value: float, normal: Array, bend: float, most: tuple[float, float] | None, turn: Array
+    state: PairState, value: float, normal: Array, bend: float, most: _Fastest | None, turn: Array
 ) -> Front:
     """Return the `Front` along a normal that turns at the rate `turn` (3,).
 
@@ -226,11 +239,11 @@ def _front(
         )
     ]
     common = 0.5 * (seconds[0][heights_a.argmin()] + seconds[1][heights_b.argmax()])
-    second, third = most
+    third = most.third_along(normal)
     if spin > 0.0:
-        speed += second * until
+        speed += most.second * until
         far += speed * until
-        third += 3.0 * spin * second + 3.0 * spin * spin * speed + spin**3 * far
+        third += spin * (until * most.third + 3.0 * most.second + 3.0 * spin * speed + spin * spin * far)
     return now._replace(
         closing_a=np.minimum(seconds[0] - common, 0.0),
         closing_b=np.maximum(seconds[1] - common, 0.0),
