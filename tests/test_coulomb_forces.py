@@ -288,18 +288,18 @@ def test_contact_jammed_by_held_joints_has_solution_with_yielding_joints(joints,
 
 
 @numba.njit
-def find(delassus, free, slip, mu, held, lower, upper, x, pressed, before):
+def find(delassus, free, slip, mu, held, lower, upper, x, pressed):
     """Call `find_forces`, which has no Python wrapper."""
     problem = CoulombProblem(delassus, free, coulomb_law(mu, slip, held, lower, upper))
-    return find_forces(problem, x, pressed, before, True)
+    return find_forces(problem, x, pressed, True)
 
 
-def solution_from(delassus, free, slip, mu, bound, pressed, before=0.0):
+def solution_from(delassus, free, slip, mu, bound, pressed):
     """Return the forces that `find_forces` selects; all joints have the bounds ±bound."""
     nc, x = len(mu), np.zeros(len(free))
     limits = np.full(len(free) - 3 * nc, bound)
-    held, start = np.zeros(nc, dtype=bool), np.zeros(len(free)) + before
-    assert find(delassus, free, slip, mu, held, -limits, limits, x, np.array(pressed), start)
+    held = np.zeros(nc, dtype=bool)
+    assert find(delassus, free, slip, mu, held, -limits, limits, x, np.array(pressed))
     return x
 
 

@@ -48,7 +48,6 @@ def open_page(
     *,
     size: tuple[int, int] = (960, 540),
     screenshot: str | Path | None = None,
-    timeout: float = 600.0,
 ) -> Opened:
     """Open a page from a file, without network.
 
@@ -58,13 +57,12 @@ def open_page(
         fragment: The part of its address after #.
         size: Width and height of the window [px].
         screenshot: A PNG file to write; the document is then not returned.
-        timeout: Time after which `subprocess.run` raises an error [s].
     """
     address = Path(page).absolute().as_uri() + (f"#{fragment}" if fragment else "")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         wanted = "--dump-dom" if screenshot is None else f"--screenshot={screenshot}"
         options = (f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}")
         command = [browser, *OPTIONS, *options, "--virtual-time-budget=3000", wanted, address]
-        done = subprocess.run(command, check=True, capture_output=True, timeout=timeout)
+        done = subprocess.run(command, check=True, capture_output=True, timeout=600.0)
     log = done.stderr.decode("utf-8", "replace").splitlines()
     return Opened(done.stdout.decode("utf-8", "replace"), [row for row in log if ":CONSOLE" in row])

@@ -32,7 +32,7 @@ def _without_friction(problem, p3, values):
     """Fill the sensitivities at P₃ for μ = 0, to the side μ > 0. (D12)"""
     b1, b2, v1, v2 = problem.b1, problem.b2, problem.v1, problem.v2
     k1, k2 = problem.k1, problem.k2
-    clear_rows(values, VT1, STOP)
+    clear_rows(values, STOP)
     values[VT1 + V1] = values[VT2 + V2] = 1.0
     values[VT1 + B1] = values[VT2 + B2] = p3
     values[PATH + V1], values[PATH + V2] = k1 * p3, k2 * p3

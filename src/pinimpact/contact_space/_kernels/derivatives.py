@@ -316,7 +316,7 @@ def _follow(problem, units, view, moves, values, rows, after3):
     whole = unit * moves[rows - 1, 3]
     steepest = problem.c + problem.mu * (abs(problem.b1) + abs(problem.b2))
     q1 = q2 = rest_at = total = 0.0
-    clear_rows(values, VT1, OUT1)
+    clear_rows(values, OUT1)
     if not at_rest:
         values[VT1 + V1] = values[VT2 + V2] = 1.0
     last_needed, stop = _needed(problem, moves, rows)
@@ -336,7 +336,7 @@ def _follow(problem, units, view, moves, values, rows, after3):
                 boundary |= START_AT_REST
             elif _repels(problem, move[7], move[8]):
                 boundary |= EVENTS_COINCIDE
-            clear_rows(values, VT1, PATH)
+            clear_rows(values, PATH)
         if works and move[1] == code.COMPRESSION:
             total += work_unit * move[4]
         if event == code.NO_EVENT:

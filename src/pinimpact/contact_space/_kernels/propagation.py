@@ -77,7 +77,7 @@ def propagate(
     u = before.copy()
     system = _system_of(own_w, numbers[0], numbers[1], numbers[2], exponent)
     stopped = follow(
-        *(system, new_state(u, p), new_series(ORDER, n), np.empty((n, 3)), np.empty((5, ORDER + 1))),
+        *(system, new_state(u, p), new_series(n), np.empty((n, 3)), np.empty((5, ORDER + 1))),
         *(accuracy, most_steps, own_works, counts, rows, path),
     )
     residual = gained = size = 0.0

@@ -180,7 +180,7 @@ def _step_to_event(
             if first <= h or order == ORDER:
                 break
             expand(system, state, unknown, inverse, order + 1, ORDER, pace, series)
-            order, h = ORDER, _step_length(system, series, ORDER, accuracy, pace, LONGEST)
+            order, h = ORDER, _step_length(system, series, ORDER, accuracy, pace)
         h = first if degree == SHORT else min(h, first)
         if h > 0.0:
             at_once = 0 if h * pace > NEGLIGIBLE else at_once
@@ -228,7 +228,7 @@ def _expand_step(system, state, unknown, inverse, order, accuracy, series):
     pace = natural_pace(state, series)
     begin = START if pace < 1.0 else FIRST + 1
     root = expand(system, state, unknown, inverse, begin, order, pace, series)
-    return _step_length(system, series, order, accuracy, pace, LONGEST), pace, root
+    return _step_length(system, series, order, accuracy, pace), pace, root
 
 
 @inlined
@@ -270,7 +270,7 @@ def _expand_slow_step(system, state, unknown, inverse, accuracy, series, allowed
     for part in PARTS:
         pace = expand_slowly(system, state, unknown, inverse, series, part, slow, residual)
         if pace > 0.0:
-            h = _step_length(system, series, ORDER, accuracy, pace, LONGEST)
+            h = _step_length(system, series, ORDER, accuracy, pace)
             if residual_at(residual, h) <= allowed:
                 return h, pace
     return 0.0, 1.0
@@ -397,9 +397,9 @@ def _next_closing(state):
 
 
 @inlined
-def _step_length(system, series, order, accuracy, pace, h):
-    """Return the step size, at most h, at which the last three terms of the series equal the accuracy."""
-    weight = largest_diagonal(system.w)
+def _step_length(system, series, order, accuracy, pace):
+    """Return the step size at which the last three terms of the series equal the accuracy."""
+    weight, h = largest_diagonal(system.w), LONGEST
     for k in range(order - 1, order + 2):
         # self-equilibrated forces do not appear in the velocities
         forces = LITTLE * weight * largest(series.force[k - 1]) * pace / k

@@ -54,15 +54,15 @@ class Series(NamedTuple):
 
 
 @inlined
-def new_series(order, n):
-    """Return a `Series` of a degree for n contacts, filled with zeros."""
+def new_series(n):
+    """Return a `Series` for n contacts, filled with zeros."""
     return Series(
-        np.zeros((order + 2, 3 * n)),
-        np.zeros((order + 2, n)),
-        np.zeros((order + 1, 3 * n)),
-        np.zeros((order + 1, n)),
-        np.zeros((order + 1, 2 * n)),
-        np.zeros((order + 2, n)),
+        np.zeros((ORDER + 2, 3 * n)),
+        np.zeros((ORDER + 2, n)),
+        np.zeros((ORDER + 1, 3 * n)),
+        np.zeros((ORDER + 1, n)),
+        np.zeros((ORDER + 1, 2 * n)),
+        np.zeros((ORDER + 2, n)),
         np.zeros(3 * n, dtype=np.int64),
         np.zeros((POINTS, 3 * n)),
     )

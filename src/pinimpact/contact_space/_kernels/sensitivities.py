@@ -62,9 +62,9 @@ def combine(values, out, a, i, b, j):
 
 
 @always_inlined
-def clear_rows(values, first, last):
-    """Fill rows of sensitivities with zeros, from offset `first` up to, but not including, `last`."""
-    for k in range(first, last, 4):
+def clear_rows(values, last):
+    """Fill rows of sensitivities with zeros, up to, but not including, offset `last`."""
+    for k in range(VT1, last, 4):
         keep(values, k, (0.0, 0.0, 0.0, 0.0))
 
 

@@ -76,7 +76,7 @@ def _cross_straight(units, slip, around, time, mu, k1, k2, values):
     arrive(values, s1, s2, units.per, mu, x, y, (along, aside, along, aside, along))
     if grown == 0.0:
         combine(values, STOP, units.per, VT1, 0.0, VT1)
-        clear_rows(values, VT1, PATH)
+        clear_rows(values, PATH)
         return Slip(s1, s2, 0.0, 0.0), span
     return Slip(s1, s2, speed * grown, turn * math.exp(rho * time)), span
 

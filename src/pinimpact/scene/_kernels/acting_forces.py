@@ -25,26 +25,24 @@ from ..._numeric.loops import assign, filled, nonzero, ones
 from ..._numeric.tolerances import COMPUTED, UNDETERMINED
 from .tolerances import NEGLIGIBLE
 
-COMPLIANT, AT_REST, AS_BEFORE, ANY = range(4)
+COMPLIANT, AT_REST, ANY = range(3)
 """Ways to find forces: the limit of small compliances; Newton's method from those that keep pressed contacts
-at rest, or from those of the last choice of modes; the method of augmented Lagrangians."""
+at rest; the method of augmented Lagrangians."""
 
 
-@declared(CoulombProblem, FLOATS, FLAGS, FLOATS, bool, result=bool)
+@declared(CoulombProblem, FLOATS, FLAGS, bool, result=bool)
 @external
-def find_forces(problem, x, pressed, before, unique):
+def find_forces(problem, x, pressed, unique):
     """Find forces that satisfy Coulomb's law, preferably persistent ones. (theory.md, 11.3 and 11.4)
 
     Newton's method starts from the forces at which pressed contacts and joints rest, so that they stay at
-    rest if possible, then from those of the last choice of modes: near a singularity the forces are a
-    thousand times the loads, and only a nearby start converges. The method of augmented Lagrangians comes
-    last. The search stops at the first forces whose equations have no negative determinant.
+    rest if possible. The method of augmented Lagrangians comes last. The search stops at the first forces
+    whose equations have no negative determinant.
 
     Args:
         problem: The `CoulombProblem`.
         x: (3 nc + ns,) is overwritten with the forces; if none are found, with those of the last attempt.
         pressed: (nc + ns,) whether each contact or scalar row has been pressed, or held, so far.
-        before: (3 nc + ns,) forces of the last choice of modes.
         unique: Whether W is regular; otherwise the limit of small compliances is tried first.
 
     Returns:
@@ -59,8 +57,6 @@ def find_forces(problem, x, pressed, before, unique):
         elif way == ANY:
             error = solve_coulomb(problem, trial)
         else:
-            if way == AS_BEFORE:
-                assign(trial, before)
             error = polish(problem, trial, COMPUTED)
         if error > (USABLE if unique else UNDETERMINED):  # see (11.10)
             if way == ANY and not found:

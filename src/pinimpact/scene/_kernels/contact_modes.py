@@ -169,7 +169,6 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
         b = 3 * jamming + 2
         gained = stop_along(what.rows[b : b + 1], what.velocity[jamming, 2:], work.minverse, v)
         return what.contacts[jamming], True, gained, 0.0, 0.0
-    touching_rows.keep_forces(work, what, force)
     stopped, against = flags(size, False), np.zeros(size)  # see `come_to_rest`
     threshold = np.empty(size)
     touching_rows.resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, threshold)

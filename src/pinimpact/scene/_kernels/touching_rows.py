@@ -14,7 +14,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, Integers
 from ..._compile.jit import external, inlined
 from ..._numeric.augmented_newton import Law, coulomb_law
 from ..._numeric.coulomb_problem import USABLE, scale
-from ..._numeric.loops import assign, filled, largest_diagonal, nonzero
+from ..._numeric.loops import filled, largest_diagonal, nonzero
 from ..._numeric.products import add, dot
 from ..._numeric.semidefinite import factor
 from ..._numeric.tolerances import LITTLE, NOISE, RANK, ROUNDING, ROUNDOFF
@@ -118,33 +118,12 @@ def keeps_sliding(work, i, x, y, certain):
 def forces_on(work, what, problem, candidates, unique, force):
     """Fill the forces (m,) on the touching contacts, see `find_forces`; return whether they were found."""
     nc, ns = len(what.contacts), len(what.joints)
-    known, pressed = np.empty(len(force)), np.empty(nc + ns, dtype=np.bool_)
-    forces_of_before(work, what.contacts, what.joints, known)
+    pressed = np.empty(nc + ns, dtype=np.bool_)
     for k in range(nc):
         pressed[k] = candidates[what.contacts[k]] == PRESSED
     for m in range(ns):
         pressed[nc + m] = candidates[work.contacts + what.joints[m]] == PRESSED
-    return find_forces(problem, force, pressed, known, unique)
-
-
-@inlined
-def forces_of_before(work, contacts, joints, x):
-    """Fill x (m,) with the forces of contacts and scalar rows from the last choice of modes."""
-    closed = 3 * len(contacts)
-    for a in range(closed):
-        x[a] = work.found_forces[contacts[a // 3], a % 3]
-    for m in range(len(joints)):
-        x[closed + m] = work.found_forces[work.contacts + joints[m], 0]
-
-
-@inlined
-def keep_forces(work, what, force):
-    """Store the forces (m,) from which modes are chosen, for the next choice."""
-    nc, found = len(what.contacts), work.found_forces
-    for k in range(nc):
-        assign(found[what.contacts[k]], force[3 * k : 3 * k + 3])
-    for m in range(len(what.joints)):
-        found[work.contacts + what.joints[m], 0] = force[3 * nc + m]
+    return find_forces(problem, force, pressed, unique)
 
 
 @declared(FLOAT_ROWS, Law)

@@ -114,7 +114,6 @@ class SceneWorkspace(Workspace):
     system = reals("active_rows", "active_rows", meaning="matrix G M⁻¹H of (9.3)")
     target = reals("active_rows", meaning="right-hand side −a° of (9.3)")
     solution = reals("active_rows", meaning="solution x of (9.3) [N]")
-    found_forces = reals("sources", 3, meaning="from the last choice of modes; of scalar rows in column 0")
     slips = integers("contacts", meaning="1 for contacts treated as sliding in the last choice of modes")
     stage_reactions = reals(13, "nv", meaning="v̇ due to active rows, at the stages of an explicit step")
     samples = integer("number of samples of the current step, see `samples`")
