@@ -241,7 +241,8 @@ def test_rack_of_balls_breaks_symmetrically_in_both_schemes(turn, numbering, res
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_impact_whose_waves_are_not_followed_is_that_of_newtons_law(friction, scheme, monkeypatch):
     monkeypatch.setattr(scene_impacts, "BRIEF", 0)
-    monkeypatch.setattr(instant, "FEW", 3)
+    monkeypatch.setattr(scene_impacts, "FEW", 3)
+    monkeypatch.setattr(scene_impacts, "CROWD", 3)
     monkeypatch.setattr(instant, "CROWD", 3)
     model, e, height, dt = pin.Model(), 0.6, 0.1, 1e-3
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
@@ -274,7 +275,8 @@ def test_impact_whose_waves_are_not_followed_is_that_of_newtons_law(friction, sc
 
 def test_locked_joint_is_locked_in_impacts_at_many_contacts(monkeypatch):
     monkeypatch.setattr(scene_impacts, "BRIEF", 0)
-    monkeypatch.setattr(instant, "FEW", 3)
+    monkeypatch.setattr(scene_impacts, "FEW", 3)
+    monkeypatch.setattr(scene_impacts, "CROWD", 3)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0, 0.2, 0.3, 0.1), pin.SE3.Identity())

@@ -189,7 +189,10 @@ class FacingShapes:
             placed = places.pair.placed(self._data)
             faces = patch(*placed, within) if close[p] else None
             if faces is not None and not (places.pair.a.shape.radius or places.pair.b.shape.radius):
-                others = np.array([one.normal for one in ties(*placed, faces.normal, within)])
+                depth = (
+                    within if touching >= 0.0 else 0.5 * within
+                )  # from the start of a step to its midpoint
+                others = np.array([one.normal for one in ties(*placed, faces.normal, depth)])
                 self.ties[places.numbers] = tie = bool((others @ faces.normal < FACING).any())
                 if tie:
                     faces = self._decided(places.pair, faces, within, touching)
@@ -245,8 +248,10 @@ class FacingShapes:
             for k in range(count):
                 self._strike(places.pair, first + k, normal, (points[p, k], others[p, k]))
             return
+        gaps = (points[p, :count] - others[p, :count]) @ normal
+        if touching < 0.0 and float(gaps.min()) > self._near:  # still apart
+            return
         ends = points[p, :count].copy(), others[p, :count].copy()
-        gaps = (ends[0] - ends[1]) @ normal
         found = Patch(normal, *ends, gaps, kinds[p, :count].copy(), edges[p].copy())
         places.used = count
         self._fill(places, self._decided(places.pair, found, float(within[p]), touching), touching >= 0.0)
@@ -297,7 +302,7 @@ class FacingShapes:
         if least > self._near:
             return None if touching >= 0.0 else found
         if touching < 0.0 and least < -self._near:
-            overlap = pair.overlap(self._data, found.normal, within)
+            overlap = pair.overlap(self._data, found.normal, 0.5 * within)
             return patch_along(*pair.placed(self._data), overlap, within)
         given = self._data, found.normal, found.points, self._work.resting_speed
         normal, apart = pair.normal_of_contact(*given, self._near, touching)

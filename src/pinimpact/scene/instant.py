@@ -21,7 +21,7 @@ from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
 from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING
-from .crowds import AT_REST, CROWD, FEW, CrowdError
+from .crowds import AT_REST, CROWD, CrowdError
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
@@ -151,7 +151,7 @@ class Instant:
         if self.shapes:
             self.shapes.refresh(self.state.q)
         self._hit[:] = False
-        self.impacts.unresolved, self.impacts.crowd = 0.0, CROWD if self.impacts.refuses else math.inf
+        self.impacts.unresolved, self.impacts.in_steps = 0.0, False
         resolved: list[dict[str, Any]] = []
         tried, jams = np.zeros(len(where), dtype=bool), 0
         while True:
@@ -208,7 +208,7 @@ class Instant:
             error: Error of velocities that is acceptable [m/s], see `SceneImpacts.unresolved`.
             pressed: (n + nl,) whether each contact or limit has an impulse in that step; False: none has.
         """
-        self._hit[:], self.impacts.unresolved, self.impacts.crowd = False, error, FEW
+        self._hit[:], self.impacts.unresolved, self.impacts.in_steps = False, error, True
         resolved: list[dict[str, Any]] = []
         left: dict[int, float] = {}
         parting: Array | None = None

@@ -35,7 +35,7 @@ from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact, impact_in_steps
 from ._kernels.contact_forces import FREE, SLIP
 from ._kernels.tolerances import NEGLIGIBLE, ROUNDING
-from .crowds import BRIEF, FEW, ISLANDS, CrowdError
+from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
@@ -69,7 +69,8 @@ class SceneImpacts:
         unresolved: Change of velocity by gravity in a time step [m/s], 0 for the event-driven scheme. The
             relative error of time steps is the square of its ratio to the velocity; impacts need not be more
             accurate.
-        crowd: Number of contacts above which the waves of an impact are followed only briefly.
+        in_steps: Whether the impacts are those of time steps; without restitution they follow Moreau's law,
+            as the contact problem of a step does.
         refuses: Whether to raise an error for impacts without restitution whose waves are not resolved.
             Adaptive steps are then tried for up to `FEW` contacts.
     """
@@ -95,8 +96,13 @@ class SceneImpacts:
         self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
-        self.unresolved, self.crowd, self.refuses = 0.0, math.inf, False
+        self.unresolved, self.in_steps, self.refuses = 0.0, False, False
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
+
+    @property
+    def _crowd(self) -> float:
+        """Number of contacts above which the waves of an impact are followed only briefly."""
+        return FEW if self.in_steps else CROWD if self.refuses else math.inf
 
     def compile_kernels(self, q: Array) -> None:
         """Compile the kernels that impacts may need, once, by resolving impacts with zero velocity.
@@ -194,7 +200,7 @@ class SceneImpacts:
             it but lifted, the impact is returned too, since the law is then the energetic one.
 
         Raises:
-            CrowdError: The impact is refused, see `refuses`, or more than `crowd` contacts have many events.
+            CrowdError: The impact is refused, see `refuses`, or many contacts have many events.
         """
         touching = self._connected(first, touching)
         if len(touching) == 1:
@@ -216,9 +222,9 @@ class SceneImpacts:
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
         sources = [touching[k] for k in chosen.tolist()]
         refuse = self.refuses and not limit and not any(e)
-        crowd = not limit and not self._locked and len(chosen) > self.crowd  # steps do not lock joints
+        crowd = not limit and not self._locked and len(chosen) > self._crowd  # steps do not lock joints
         policy = self.policy
-        if limit:
+        if limit or (self.in_steps and not any(e)):
             policy, e = "together", [0.0] * len(struck)
         delassus, response = matrices.delassus, matrices.response
         if len(chosen) < len(touching):

@@ -95,6 +95,7 @@ class TimeStepping(Integrator):
         alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
         alike += [limit_restitution(scene) == 0.0] * len(self.dynamics.limits)
         self._located = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
+        self._collides = self._located.copy()
         self._restitution, self._stiffness = np.zeros(len(alike)), Stiffness()
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
@@ -190,20 +191,12 @@ class TimeStepping(Integrator):
         state.step_before = h
         t, pushed = state.t, state.pushed
         self._faces.place(middle, v, h)
-        ties = np.zeros(len(self._located), dtype=bool)
-        ties[: self.work.contacts] = self._faces.ties
-        self._collides = self._located | ties  # the normal of a tie is known at its instant
         if self.rims:
             self.rims.choose(middle, v, h, self._touching)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
         near = rows.near(self.work.contacts)
-        if (ties & ~self._located)[near[found.arrives & (found.gap_end < 0.0)]].any():
-            # it depends on which contacts close before
-            self._collides[:], state.pushed = True, pushed
-            rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
-            near = rows.near(self.work.contacts)
         if may_be_halved and self._stiffness.rejects(float(found.stiffness[0]), h):
             state.pushed, state.step_before = before
             return PASSED
@@ -270,6 +263,8 @@ class TimeStepping(Integrator):
         """
         state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
         terms, pushed = self._mass.compute(t, q, h), state.pushed
+        self._collides[:] = self._located
+        self._collides[: self.work.contacts] |= self._faces.ties
         system = StepSystem(
             *(self._mass.matrix, self._mass.inverse, *terms, self._tree, self._start),
             *(self._rest.joints, self._collides, self._restitution, self._compliances, self._gravity),
@@ -288,14 +283,26 @@ class TimeStepping(Integrator):
             known = rows.near(self.work.contacts)
             joined = np.zeros(len(self._near), dtype=bool)
             joined[known] = True
-            if joined[driven].all():
+            if not joined[driven].all():
+                rows = self._rows(q, v, h, slack, False, np.union1d(known, driven))
+            elif not self._locate_more(known[found.arrives & (found.gap_end < 0.0)]):
                 break
-            rows = self._rows(q, v, h, slack, False, np.union1d(known, driven))
         if residual > max(USABLE, state.unsolved):
             if state.unsolved == 0.0:
                 self.instant.note(f"A contact problem was solved only to {residual:.2g} of its velocities.")
             state.unsolved = residual
         return rows, system, found, (ends[0], ends[1], ends[2])
+
+    def _locate_more(self, closing: Integers) -> bool:
+        """Locate the impacts of all contacts of bodies where a contact with undecided normal closes. (16.3)
+
+        Returns whether there are more than before; `closing` are the numbers of arriving contacts and limits.
+        """
+        ends, closing = self.work.contact_joints, closing[closing < self.work.contacts]
+        undecided = closing[self._faces.ties[closing] & ~self._located[closing]]
+        more = np.isin(ends, ends[undecided][ends[undecided] > 0]).any(axis=1) & ~self._collides[: len(ends)]
+        self._collides[: len(ends)] |= more
+        return bool(more.any())
 
     def _check_result(self, t: float, residual: float, found: StepResult) -> None:
         """Raise an error if the velocities are not finite or the contact problem is not solved."""

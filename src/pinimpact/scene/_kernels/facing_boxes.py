@@ -163,7 +163,8 @@ def face_boxes(work, q, v, h, near, touching, joints, boxes, pairs, blanks, rest
                 *(placed[a], half_a, placed[b], half_b, within),
                 *(normals[p], points[p], others[p], gaps, kinds[p], edges[p]),
             )
-        tie = found > 0 and undecided(placed[a], half_a, placed[b], half_b, normals[p], within)
+        depth = within if touching >= 0.0 else 0.5 * within  # from the start of a step to its midpoint
+        tie = found > 0 and undecided(placed[a], half_a, placed[b], half_b, normals[p], depth)
         for k in range(min(found, room)):
             ties[first + k] = tie
             fill_contact(
