@@ -8,7 +8,9 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact import Boundary, Contact, JointPD, Plane, Scene, Shape, Stepper, simulate
+from pinimpact import Boundary, Box, Contact, JointPD, Plane, Scene, Shape, Stepper, simulate
+
+from .scene_models import shaped_body
 
 FLAT = [0, 1, 5, 6, 7, 11]  # changes of the state of a free body that leave a level face on the floor
 LOWER, UPPER = [0.2, 0.2, 0.1], [0.2, 0.2, 0.1]
@@ -538,3 +540,16 @@ def test_landing_right_at_the_midpoint_or_end_of_a_step_has_no_derivative(gap):
     beside = state(gap + 1e-3, sensitivities="state")[1].sensitivity(end)
     assert Boundary.EVENTS_COINCIDE not in beside.boundary
     assert np.isfinite(beside.state).all()
+
+
+def test_derivatives_of_a_box_that_flies_beside_an_edge():
+    """The point of the edge that is near is on no feature whose motion is known, but it takes no part."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = [Box(size=(1.0, 1.0, 0.2), center=(x, 0.0, -0.1), name=f"floor {x}") for x in (0.0, 1.0)]
+    scene = Scene(robot, [Contact(geometry="cube", plane=floor) for floor in floors])
+    q0 = np.array([0.399, 0.0, 0.1002, 0.0, 0.0, 0.0, 1.0])  # 1 mm before the edge
+    v0 = np.array([0.7, 0.01, 0.0, 0.0, 0.0, 0.0])
+    run = simulate(scene, q0, v0, 0.001, scheme="time-stepping", sensitivities=("state",))
+    along = np.eye(12)[:, [0, 1, 2, 6, 7, 8]]
+    right = along + 0.001 * np.pad(along[6:], ((0, 6), (0, 0)))
+    np.testing.assert_allclose(run.sensitivity(0.001).state[:, [0, 1, 2, 6, 7, 8]], right, atol=1e-6)

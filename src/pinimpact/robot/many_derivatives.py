@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -103,6 +103,7 @@ class RowSlopes:
         corners: Corners of patches of two shapes, by the index of their contact.
         spare: A Data of the model as scratch; None to create one.
         on_surface: See `contact_kinematics.jacobian`.
+        idle: Contacts without force, for which the motion of corners over faces is not needed.
 
     Attributes:
         tree: The `Tree` of the robot.
@@ -124,6 +125,7 @@ class RowSlopes:
         corners: Mapping[int, Corner] | None = None,
         spare: pin.Data | None = None,
         on_surface: bool = False,
+        idle: Container[int] = (),
     ) -> None:
         model, corners = placed.model, corners or {}
         self._placed, self.tree = placed, Tree.of(placed)
@@ -140,7 +142,7 @@ class RowSlopes:
         self.rows = rows_of(placed, self.tree, now, True)
         self.axes, self.fixed = [row.axes for row in self.rows], list(self.rows)
         for k, corner in corners.items():
-            if corner.on_face:
+            if corner.on_face and k not in idle:
                 place = self.rows[k].place
                 (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)
                 self.features_meet |= corner.follow(placed.data, self.tree.J, place.shifts)

@@ -400,7 +400,7 @@ class StepSlopes:
         nv = len(v)
         jacobian = self._law(taken).jacobian
         placed = PlacedRobot(self._model, self._data, taken.middle)
-        slopes = RowSlopes(placed, *taken.near, self._spare)
+        slopes = RowSlopes(placed, *taken.near, self._spare, idle=taken.idle())
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
         start, end, gaps = np.zeros((3, len(jacobian), 2 * nv + 1))
         gaps[:, :nv] = start[:, nv:-1] = jacobian

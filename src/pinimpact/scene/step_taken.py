@@ -85,6 +85,15 @@ class StepTaken:
     struck: Mapping[int, Corner] = field(default_factory=dict)
     removals: list[Removal] = field(default_factory=list)
 
+    def idle(self) -> frozenset[int]:
+        """Return the indices of near contacts that stay open in the step and have no impulse."""
+        found, rows = self.found, self.rows.normals[: len(self.rows.contacts)]
+        end = found.gap_end[: len(rows)]
+        middle = end - 0.5 * self.h * found.u_end[rows]
+        least = np.minimum(np.minimum(end, middle), middle - 0.5 * self.h * found.u_start[rows])
+        open_ones = (found.impulse[rows] == 0.0) & (least > self.touching)
+        return frozenset(np.flatnonzero(open_ones).tolist())
+
     def open_at_start(self, bends: Array) -> Bools:
         """Return which contacts and held ones are open at the start, given (J̇ v)_n (k,). (16.2)"""
         rates = self.found.u_start[2 : 3 * len(bends) : 3] + 0.5 * self.h * bends
