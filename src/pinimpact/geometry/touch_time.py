@@ -216,7 +216,7 @@ def _front(
     moving_a, moving_b = velocities
     spin = float(np.linalg.norm(turn))
     speed = _most(moving_a, moving_b)
-    until = math.sqrt(size / bend) if bend > 0.0 else math.inf
+    until = math.sqrt(size / bend) if bend > 0.0 else size / speed if spin * speed > 0.0 else math.inf
     far, curving = size + max(value, 0.0), bend
     if spin > 0.0:
         curving += 2.0 * spin * (speed + bend * until) + 2.0 * spin * spin * far

@@ -140,8 +140,9 @@ class Progress:
             SimulationError: There are too many instants with impacts.
         """
         state, impacts = self._state, self._instant.record.impacts
-        self.mark()  # impacts are bounded by `max_impacts` and not by progress
-        state.struck += before == 0 or impacts[before - 1].time < state.t
+        if before == 0 or impacts[before - 1].time < state.t:
+            self.mark()  # these are bounded by `max_impacts` and not by progress
+            state.struck += 1
         if state.struck > self._options.max_impacts:
             last = ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])
             raise SimulationError(
