@@ -947,3 +947,60 @@ def test_leaning_planks_that_fall_against_each_other_move_symmetrically(scheme):
     assert {hit.source.split(" ")[0] for hit in end.impacts} == {"a", "b"}
     mirrored = np.array([-1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
     assert end.v[-1, 6:] == pytest.approx(mirrored * end.v[-1, :6], abs=1e-5)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("seam", [-0.0999, -0.04, 0.0, 0.05])
+def test_box_lands_on_two_level_floors_as_on_one(seam, restitution, scheme):
+    """Points between the corners of the whole face have no impulse; it would turn otherwise."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = [Box(size=(1.0, 1.0, 0.2), center=(seam + x, 0.0, -0.1), name=f"floor {x}") for x in (-0.5, 0.5)]
+    given = {"friction": 0.4, "restitution": restitution}
+    v0 = np.array([0.1, 0.05, -1.0, 0.0, 0.0, 0.0])
+    ends = [
+        simulate(Scene(robot, contacts), pose(0.0, 0.0, 0.11), v0, 0.02, scheme=scheme)
+        for contacts in (
+            [Contact(geometry="cube", plane=floor, **given) for floor in floors],
+            Contact(geometry="cube", plane=Box(size=(2.0, 2.0, 0.2), center=(0.0, 0.0, -0.1)), **given),
+        )
+    ]
+    assert ends[0].v[-1] == pytest.approx(ends[1].v[-1], abs=1e-7)
+
+
+@pytest.mark.parametrize("seam", [None, 0.02, 0.1, 0.18])
+def test_rocking_box_lands_over_a_seam_with_the_plastic_impact_of_its_other_edge(seam):
+    """Its angular velocity about that edge is conserved: a quarter is left of a cube's."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = [Plane()]
+    if seam is not None:
+        floors = [Box(size=(2, 1, 0.2), center=(seam + x, 0.0, -0.1), name=f"floor {x}") for x in (-1, 1)]
+    turned = pin.utils.rotate("y", -0.05)
+    centre = turned @ np.array([0.1, 0.0, 0.1])
+    spin = np.array([0.0, 3.0, 0.0])
+    q0 = np.array([*centre, *pin.Quaternion(turned).coeffs()])
+    v0 = np.concatenate([turned.T @ np.cross(spin, centre), turned.T @ spin])
+    scene = Scene(robot, [Contact(geometry="cube", plane=floor, friction=1.0) for floor in floors])
+    hit = simulate(scene, q0, v0, 0.018, scheme="event-driven").impacts[0]
+    assert hit.v_after[4] == pytest.approx(0.25 * hit.v_before[4], rel=1e-6)
+
+
+def test_body_of_two_welded_boxes_lands_as_one_box():
+    whole, halves = coal.Box(0.2, 0.2, 0.2), coal.Box(0.1, 0.2, 0.2)
+    inertia, ends = pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), []
+    for shapes in ([(whole, 0.0)], [(halves, -0.05), (halves, 0.05)]):
+        robot = shaped_body(shapes[0][0], inertia, pin.SE3(np.eye(3), np.array([shapes[0][1], 0.0, 0.0])))
+        parent = robot.collision_model.geometryObjects[0].parentFrame
+        for k, (shape, x) in enumerate(shapes[1:], start=1):
+            at = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+            robot.collision_model.addGeometryObject(pin.GeometryObject(f"thing_{k}", 1, parent, at, shape))
+        contacts = [
+            Contact(geometry=f"thing_{k}", plane=Plane(), friction=0.4, restitution=0.3)
+            for k in range(len(shapes))
+        ]
+        v0 = np.array([0.3, 0.1, -0.5, 1.0, 2.0, 3.0])
+        ends.append(
+            simulate(Scene(robot, contacts), pose(0.0, 0.0, 0.2, roll=0.3), v0, 0.15, scheme="event-driven")
+        )
+    assert len(ends[0].impacts) >= 3
+    assert ends[1].q[-1] == pytest.approx(ends[0].q[-1], abs=1e-6)

@@ -39,6 +39,7 @@ from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
+from .level_faces import points_between, shapes_of
 from .records import ImpactGroup
 from .scene import Scene
 from .switched_off import limit_restitution, locked_joints
@@ -202,7 +203,7 @@ class SceneImpacts:
         Raises:
             CrowdError: The impact is refused, see `refuses`, or many contacts have many events.
         """
-        touching = self._connected(first, touching)
+        touching = self._without_points_between(q, self._connected(first, touching))
         if len(touching) == 1:
             return None
         every, matrices = self._matrices(q, touching)
@@ -211,7 +212,8 @@ class SceneImpacts:
         work = self._dynamics.work  # gap rates of active contacts are errors of steps
         least = max(work.least_approach, work.certain_speed)
         parts = np.empty(len(touching), dtype=np.int64)
-        place, rates = touching.index(first), velocity[:, 2].copy()
+        rates = velocity[:, 2].copy()
+        place = touching.index(first) if first in touching else int(np.argmin(rates))
         coupled = taking_part(matrices.delassus, friction, rates, least, place, parts)
         chosen = parts.nonzero()[0]
         struck = [every[k] for k in chosen.tolist()]
@@ -335,6 +337,15 @@ class SceneImpacts:
         ends[~of_contact] = work.velocity_joint[work.limit_v[every[~of_contact] - count], None]
         of = islands(self._roots, ends)[ends.max(axis=1)]
         return [i for i, island in zip(touching, of[1:].tolist(), strict=False) if island == of[0]]
+
+    def _without_points_between(self, q: Array, touching: list[int]) -> list[int]:
+        """Return those of `touching` that do not lie between others, see `points_between`."""
+        contacts = {i: self._dynamics.contacts[i] for i in touching if i < len(self._dynamics.contacts)}
+        if len({shapes_of(one) for one in contacts.values()} - {None}) < 2:
+            return touching
+        placed = PlacedRobot(self._model, self._data, q)
+        between = points_between(placed, contacts, self._dynamics.work.contact_joints)
+        return [i for i in touching if i not in between]
 
     def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
         """Return the contacts, with None for each limit, and their matrices."""

@@ -1,0 +1,71 @@
+"""Contact points of two bodies that lie between others in one plane, without impulse. (theory.md, 15.3)"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..arrays import Array, Integers
+from ..geometry.tolerances import CLOSE, COINCIDE, LOCAL
+from ..robot.contact import Contact
+from ..robot.placed_robot import PlacedRobot
+
+
+def points_between(placed: PlacedRobot, contacts: Mapping[int, Contact], ends: Integers) -> set[int]:
+    """Return the contacts of shapes whose points lie between those of other shapes of the same two bodies.
+
+    Level floors, or the boxes that a body consists of, have one face together. Their points at the joints
+    between them do not approach if those at the corners do not, and an impulse there is equal to impulses at
+    the corners.
+
+    Args:
+        placed: The robot at a configuration.
+        contacts: The contacts by their numbers.
+        ends: (n, 2) the two joints of each contact.
+    """
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for i, one in contacts.items():
+        if shapes_of(one) is not None:
+            law = one.friction, one.restitution, one.law, one.stiffness
+            alike.setdefault((*ends[i].tolist(), *law), []).append(i)
+    found: set[int] = set()
+    for rest in alike.values():
+        while len({shapes_of(contacts[i]) for i in rest}) > 1:
+            located = [placed.locate(contacts[i]) for i in rest]
+            normals, points = (np.array([one[k] for one in located]) for k in (1, 2))
+            across = points - points[0]
+            size = float(np.linalg.norm(across, axis=1).max())
+            level = np.abs(normals - normals[0]).max(axis=1) <= LOCAL
+            level &= np.abs(across @ normals[0]) <= CLOSE * size
+            same = np.flatnonzero(level).tolist()
+            in_plane = across[level] @ np.linalg.svd(normals[:1])[2][1:].T
+            corners = {same[k] for k in hull_corners(in_plane, COINCIDE * size)}
+            found |= {rest[k] for k in same if k not in corners}
+            rest = [i for k, i in enumerate(rest) if not level[k]]
+    return found
+
+
+def shapes_of(contact: Contact) -> int | str | None:
+    """Return what identifies the shapes of a contact; None for a contact of a frame."""
+    return contact.shape if contact.pair is None else id(contact.pair)
+
+
+def hull_corners(points: Array, tolerance: float) -> set[int]:
+    """Return the corners of the convex hull of points (k, 2); `tolerance` is the least height of a corner."""
+    order = np.lexsort(points.T[::-1]).tolist()
+    corners: set[int] = set()
+    for half in (order, order[::-1]):
+        kept: list[int] = []
+        for i in half:
+            while len(kept) > 1 and not _turns(points[[kept[-2], kept[-1], i]], tolerance):
+                kept.pop()
+            kept.append(i)
+        corners |= set(kept)
+    return corners
+
+
+def _turns(three: Array, tolerance: float) -> bool:
+    """Return whether the second of three points is to the right of the others' line, by the tolerance."""
+    (x, y), (u, w) = three[1:] - three[0]
+    return bool(x * w - y * u > tolerance * np.hypot(u, w))
