@@ -895,8 +895,8 @@ def test_impacts_that_repeat_at_one_instant_end_in_an_error(monkeypatch):
         simulate(scene, pose(-0.05, 0.0, 0.1), v0, 0.25, scheme="event-driven")
 
 
-def box_on_two_floors(friction=0.0, halves=1):
-    """Return a scene of a cube, or of halves of it welded together, on two floors with a seam at x = 0."""
+def cube_of(halves):
+    """Return a free cube of 0.2 m, as one box or as halves that are welded together."""
     size = np.array([0.2 / halves, 0.2, 0.2])
     robot = shaped_body(coal.Box(*size), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="half 0")
     shapes = robot.collision_model
@@ -905,13 +905,18 @@ def box_on_two_floors(friction=0.0, halves=1):
         first.placement = pin.SE3(np.eye(3), np.array([-0.05, 0.0, 0.0]))
         at = pin.SE3(np.eye(3), np.array([0.05, 0.0, 0.0]))
         shapes.addGeometryObject(pin.GeometryObject("half 1", 1, first.parentFrame, at, coal.Box(*size)))
+    return robot
+
+
+def box_on_two_floors(friction=0.0, halves=1):
+    """Return a scene of a cube, or of halves of it, on two floors with a seam at x = 0."""
     floors = [Box(size=(1.0, 1.0, 0.2), center=(x, 0.0, -0.1), name=f"floor {x}") for x in (-0.5, 0.5)]
     contacts = [
         Contact(geometry=f"half {k}", plane=floor, friction=friction)
         for k in range(halves)
         for floor in floors
     ]
-    return Scene(robot, contacts)
+    return Scene(cube_of(halves), contacts)
 
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
@@ -986,21 +991,20 @@ def test_rocking_box_lands_over_a_seam_with_the_plastic_impact_of_its_other_edge
 
 
 def test_body_of_two_welded_boxes_lands_as_one_box():
-    whole, halves = coal.Box(0.2, 0.2, 0.2), coal.Box(0.1, 0.2, 0.2)
-    inertia, ends = pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), []
-    for shapes in ([(whole, 0.0)], [(halves, -0.05), (halves, 0.05)]):
-        robot = shaped_body(shapes[0][0], inertia, pin.SE3(np.eye(3), np.array([shapes[0][1], 0.0, 0.0])))
-        parent = robot.collision_model.geometryObjects[0].parentFrame
-        for k, (shape, x) in enumerate(shapes[1:], start=1):
-            at = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
-            robot.collision_model.addGeometryObject(pin.GeometryObject(f"thing_{k}", 1, parent, at, shape))
-        contacts = [
-            Contact(geometry=f"thing_{k}", plane=Plane(), friction=0.4, restitution=0.3)
-            for k in range(len(shapes))
-        ]
-        v0 = np.array([0.3, 0.1, -0.5, 1.0, 2.0, 3.0])
-        ends.append(
-            simulate(Scene(robot, contacts), pose(0.0, 0.0, 0.2, roll=0.3), v0, 0.15, scheme="event-driven")
-        )
+    v0, ends = np.array([0.3, 0.1, -0.5, 1.0, 2.0, 3.0]), []
+    for halves in (1, 2):
+        given = {"plane": Plane(), "friction": 0.4, "restitution": 0.3}
+        scene = Scene(cube_of(halves), [Contact(geometry=f"half {k}", **given) for k in range(halves)])
+        ends.append(simulate(scene, pose(0.0, 0.0, 0.2, roll=0.3), v0, 0.15, scheme="event-driven"))
     assert len(ends[0].impacts) >= 3
     assert ends[1].q[-1] == pytest.approx(ends[0].q[-1], abs=1e-6)
+
+
+def test_body_of_two_welded_boxes_lands_on_a_floor_and_a_belt_level_with_it():
+    """Points on surfaces that move differently do not lie between each other."""
+    surfaces = Plane(name="floor"), Plane(velocity=(0.0, 1.0, 0.0), name="belt")
+    scene = Scene(cube_of(2), [Contact("", s, 0.2, geometry=f"half {k}") for k, s in enumerate(surfaces)])
+    down = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    hits = simulate(scene, pose(0.0, 0.0, 0.11), down, 0.0102, scheme="event-driven").impacts
+    corners = {hit.source for hit in hits if hit.time == hits[0].time}
+    assert len(corners) == 8

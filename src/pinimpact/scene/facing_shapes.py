@@ -189,9 +189,8 @@ class FacingShapes:
             placed = places.pair.placed(self._data)
             faces = patch(*placed, within) if close[p] else None
             if faces is not None and not (places.pair.a.shape.radius or places.pair.b.shape.radius):
-                depth = (
-                    within if touching >= 0.0 else 0.5 * within
-                )  # from the start of a step to its midpoint
+                # in steps, the distance from the start to the midpoint
+                depth = within if touching >= 0.0 else 0.5 * within
                 others = np.array([one.normal for one in ties(*placed, faces.normal, depth)])
                 self.ties[places.numbers] = tie = bool((others @ faces.normal < FACING).any())
                 if tie:

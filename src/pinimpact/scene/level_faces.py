@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from ..arrays import Array, Integers
 from ..geometry.tolerances import CLOSE, COINCIDE, LOCAL
 from ..robot.contact import Contact
-from ..robot.placed_robot import PlacedRobot
 
 
-def points_between(placed: PlacedRobot, contacts: Mapping[int, Contact], ends: Integers) -> set[int]:
+def points_between(
+    contacts: Mapping[int, Contact], ends: Integers, locate: Callable[[Contact], tuple[Any, Array, Array]]
+) -> set[int]:
     """Return the contacts of shapes whose points lie between those of other shapes of the same two bodies.
 
     Level floors, or the boxes that a body consists of, have one face together. Their points at the joints
@@ -20,19 +22,18 @@ def points_between(placed: PlacedRobot, contacts: Mapping[int, Contact], ends: I
     the corners.
 
     Args:
-        placed: The robot at a configuration.
         contacts: The contacts by their numbers.
         ends: (n, 2) the two joints of each contact.
+        locate: Returns a contact's gap, normal (3,) and point (3,).
     """
     alike: dict[tuple[object, ...], list[int]] = {}
     for i, one in contacts.items():
-        if shapes_of(one) is not None:
-            law = one.friction, one.restitution, one.law, one.stiffness
-            alike.setdefault((*ends[i].tolist(), *law), []).append(i)
+        if _shapes(one) is not None:
+            alike.setdefault((*ends[i].tolist(), *_law(one)), []).append(i)
     found: set[int] = set()
     for rest in alike.values():
-        while len({shapes_of(contacts[i]) for i in rest}) > 1:
-            located = [placed.locate(contacts[i]) for i in rest]
+        while len({_shapes(contacts[i]) for i in rest}) > 1:
+            located = [locate(contacts[i]) for i in rest]
             normals, points = (np.array([one[k] for one in located]) for k in (1, 2))
             across = points - points[0]
             size = float(np.linalg.norm(across, axis=1).max())
@@ -46,9 +47,16 @@ def points_between(placed: PlacedRobot, contacts: Mapping[int, Contact], ends: I
     return found
 
 
-def shapes_of(contact: Contact) -> int | str | None:
+def _shapes(contact: Contact) -> int | str | None:
     """Return what identifies the shapes of a contact; None for a contact of a frame."""
     return contact.shape if contact.pair is None else id(contact.pair)
+
+
+def _law(contact: Contact) -> tuple[object, ...]:
+    """Return the coefficients of a contact's impact law, and the motion of its surface."""
+    surface = contact.plane
+    motion = surface.velocity, surface.angular_velocity, surface.origin * any(surface.angular_velocity)
+    return contact.friction, contact.restitution, contact.law, contact.stiffness, *motion
 
 
 def hull_corners(points: Array, tolerance: float) -> set[int]:

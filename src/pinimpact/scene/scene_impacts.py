@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -39,7 +39,7 @@ from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
-from .level_faces import points_between, shapes_of
+from .level_faces import points_between
 from .records import ImpactGroup
 from .scene import Scene
 from .switched_off import limit_restitution, locked_joints
@@ -341,10 +341,9 @@ class SceneImpacts:
     def _without_points_between(self, q: Array, touching: list[int]) -> list[int]:
         """Return those of `touching` that do not lie between others, see `points_between`."""
         contacts = {i: self._dynamics.contacts[i] for i in touching if i < len(self._dynamics.contacts)}
-        if len({shapes_of(one) for one in contacts.values()} - {None}) < 2:
-            return touching
-        placed = PlacedRobot(self._model, self._data, q)
-        between = points_between(placed, contacts, self._dynamics.work.contact_joints)
+        placed = cache(lambda: PlacedRobot(self._model, self._data, q))
+        ends = self._dynamics.work.contact_joints
+        between = points_between(contacts, ends, lambda contact: placed().locate(contact))
         return [i for i in touching if i not in between]
 
     def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
