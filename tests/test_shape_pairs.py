@@ -35,6 +35,7 @@ from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import box, hull
 from pinimpact.robot.shape_pair import shape_pair
 from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.level_faces import hull_corners
 from pinimpact.scene.options import Options
 from pinimpact.scene.pairs_apart import PairsApart
 from pinimpact.scene.progress import Progress
@@ -1008,3 +1009,68 @@ def test_body_of_two_welded_boxes_lands_on_a_floor_and_a_belt_level_with_it():
     hits = simulate(scene, pose(0.0, 0.0, 0.11), down, 0.0102, scheme="event-driven").impacts
     corners = {hit.source for hit in hits if hit.time == hits[0].time}
     assert len(corners) == 8
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-16])
+@pytest.mark.parametrize("angle", [0.0, math.pi / 2.0, 0.3])
+def test_corners_of_the_hull_of_points_on_the_sides_of_a_rectangle(angle, rounding):
+    random = np.random.default_rng(1)
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    for _ in range(300):
+        size = random.uniform(0.1, 1.0, 2)
+        points = [np.array(corner) for corner in itertools.product((-1.0, 1.0), repeat=2)]
+        for _ in range(8):  # on the sides, at the corners and inside
+            point = random.choice((-1.0, 1.0), 2)
+            inside = random.choice((True, False), 2)
+            points.append(np.where(inside, random.uniform(-1.0, 1.0, 2), point))
+        order = random.permutation(len(points))
+        placed = (size * np.array(points)[order]) @ turn.T
+        placed += random.normal(0.0, rounding, placed.shape)
+        found = placed[sorted(hull_corners(placed, 1e-9))]
+        right = (size * np.array(points[:4])) @ turn.T
+        assert len(found) == 4
+        assert all(np.linalg.norm(found - corner, axis=1).min() < 1e-12 for corner in right)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_box_strikes_two_level_walls_as_one(scheme):
+    """Points of the box on the walls and of the walls on the box are of the same two bodies."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    v0, after = np.array([1.5, 0.2, 0.0, 0.0, 0.0, 0.0]), []
+    for middles in ((0.0,), (-0.3, 0.3)):
+        boxes = [Box(size=(2.0, 2.0, 0.2), center=(0.0, 0.0, -0.1), name="floor")]
+        size = (0.2, 1.2 / len(middles), 1.0)
+        boxes += [Box(size=size, center=(0.3, y, 0.5), name=f"wall {y}") for y in middles]
+        contacts = [Contact(geometry="cube", plane=one, friction=0.3, restitution=0.3) for one in boxes]
+        hits = simulate(Scene(robot, contacts), pose(0.05, 0.02, 0.1), v0, 0.05, scheme=scheme).impacts
+        after.append(hits[0].v_after)
+    assert after[1] == pytest.approx(after[0], abs=1e-6)
+    assert after[0][0] < -0.4
+
+
+def test_feet_are_separate_contacts_also_as_shapes():
+    """Only faces are one contact with joints in it: a middle foot has an impulse."""
+    model = shaped_body(coal.Sphere(0.02), pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.05), name="foot 0").model
+    shapes, parent = pin.GeometryModel(), model.getFrameId("thing")
+    feet = [
+        np.array([x, y, -0.05]) for x, y in ((-0.2, -0.2), (-0.2, 0.2), (0.2, -0.2), (0.2, 0.2), (0.1, 0.0))
+    ]
+    for k, foot in enumerate(feet):
+        at = pin.SE3(np.eye(3), foot)
+        shapes.addGeometryObject(pin.GeometryObject(f"foot {k}", 1, parent, at, coal.Sphere(0.02)))
+    robot = pin.RobotWrapper(model, shapes)
+    law = {"plane": Plane(), "friction": 0.2, "restitution": 0.5}
+    v0, ends = np.array([2.0, 0.0, -1.0, 0.0, 0.0, 0.0]), []
+    for contacts in (
+        [Contact(geometry=f"foot {k}", **law) for k in range(5)],
+        [
+            Contact("thing", offset=tuple(foot), radius=0.02, name=f"{k}", **law)
+            for k, foot in enumerate(feet)
+        ],
+    ):
+        hits = simulate(
+            Scene(robot, contacts), pose(0.0, 0.0, 0.08), v0, 0.012, scheme="event-driven"
+        ).impacts
+        ends.append(hits[0].v_after)
+    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
+    assert abs(ends[0][4]) > 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -29,7 +30,7 @@ def points_between(
     alike: dict[tuple[object, ...], list[int]] = {}
     for i, one in contacts.items():
         if _shapes(one) is not None:
-            alike.setdefault((*ends[i].tolist(), *_law(one)), []).append(i)
+            alike.setdefault((*sorted(ends[i].tolist()), *_law(one)), []).append(i)
     found: set[int] = set()
     for rest in alike.values():
         while len({_shapes(contacts[i]) for i in rest}) > 1:
@@ -48,7 +49,9 @@ def points_between(
 
 
 def _shapes(contact: Contact) -> int | str | None:
-    """Return what identifies the shapes of a contact; None for a contact of a frame."""
+    """Return what identifies the shapes of a contact; None for a contact of a frame, a ball or a rim."""
+    if contact.radius > 0.0 or contact.rim > 0.0 or contact.plane.radius > 0.0:
+        return None
     return contact.shape if contact.pair is None else id(contact.pair)
 
 
@@ -60,20 +63,30 @@ def _law(contact: Contact) -> tuple[object, ...]:
 
 
 def hull_corners(points: Array, tolerance: float) -> set[int]:
-    """Return the corners of the convex hull of points (k, 2); `tolerance` is the least height of a corner."""
-    order = np.lexsort(points.T[::-1]).tolist()
-    corners: set[int] = set()
-    for half in (order, order[::-1]):
-        kept: list[int] = []
-        for i in half:
-            while len(kept) > 1 and not _turns(points[[kept[-2], kept[-1], i]], tolerance):
-                kept.pop()
-            kept.append(i)
-        corners |= set(kept)
-    return corners
+    """Return the corners of the convex hull of points (k, 2), by gift wrapping.
 
-
-def _turns(three: Array, tolerance: float) -> bool:
-    """Return whether the second of three points is to the right of the others' line, by the tolerance."""
-    (x, y), (u, w) = three[1:] - three[0]
-    return bool(x * w - y * u > tolerance * np.hypot(u, w))
+    Points closer than `tolerance` are one, and so close to a side they lie on it.
+    """
+    given = points.tolist()
+    start = int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))
+    corners, here = [start], start
+    while len(corners) <= len(given):
+        x, y = given[here]
+        best, farthest, u, w = (
+            -1,
+            0.0,
+            0.0,
+            0.0,
+        )  # all other points are to the left of the side to the best one
+        for k, (a, b) in enumerate(given):
+            distance = math.hypot(a - x, b - y)
+            if distance <= tolerance:
+                continue
+            left = (u * (b - y) - w * (a - x)) / farthest if best >= 0 else -math.inf
+            if left < -tolerance or (left <= tolerance and distance > farthest):
+                best, farthest, u, w = k, distance, a - x, b - y
+        if best < 0 or math.dist(given[best], given[start]) <= tolerance:
+            break
+        corners.append(best)
+        here = best
+    return set(corners)
