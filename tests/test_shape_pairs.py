@@ -974,13 +974,15 @@ def test_box_lands_on_two_level_floors_as_on_one(seam, restitution, scheme):
     assert ends[0].v[-1] == pytest.approx(ends[1].v[-1], abs=1e-7)
 
 
+@pytest.mark.parametrize("across", [False, True])
 @pytest.mark.parametrize("seam", [None, 0.02, 0.1, 0.18])
-def test_rocking_box_lands_over_a_seam_with_the_plastic_impact_of_its_other_edge(seam):
+def test_rocking_box_lands_over_a_seam_with_the_plastic_impact_of_its_other_edge(seam, across):
     """Its angular velocity about that edge is conserved: a quarter is left of a cube's."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
     floors = [Plane()]
     if seam is not None:
-        floors = [Box(size=(2, 1, 0.2), center=(seam + x, 0.0, -0.1), name=f"floor {x}") for x in (-1, 1)]
+        centers = [(0.0, seam - 0.1 + x, -0.1) if across else (seam + x, 0.0, -0.1) for x in (-1, 1)]
+        floors = [Box(size=(2, 2, 0.2), center=at, name=f"floor {k}") for k, at in enumerate(centers)]
     turned = pin.utils.rotate("y", -0.05)
     centre = turned @ np.array([0.1, 0.0, 0.1])
     spin = np.array([0.0, 3.0, 0.0])

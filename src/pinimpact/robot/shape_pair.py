@@ -94,15 +94,15 @@ class ShapePair:
         """
 
         def approach() -> Array:
-            return -self._relative_velocity(data)(points)
+            return -self.relative_velocity(data)(points)
 
         return normal_of_meeting(*self.placed(data), normal, approach, slow, depth, close)
 
     def overlap(self, data: Any, normal: Array, depth: float) -> Gap:
         """Return the overlap of A and B, which overlap along `normal` (3,) too; see `last_separated`."""
-        return last_separated(*self.placed(data), normal, depth, self._relative_velocity(data))
+        return last_separated(*self.placed(data), normal, depth, self.relative_velocity(data))
 
-    def _relative_velocity(self, data: Any) -> Callable[[Array], Array]:
+    def relative_velocity(self, data: Any) -> Callable[[Array], Array]:
         """Return the velocity of A's material relative to B's [m/s] as a function of the point [m]."""
         a, b = (data.oMi[side.joint].act(data.v[side.joint]).vector for side in (self.a, self.b))
         linear, angular = np.split(a - b, 2)

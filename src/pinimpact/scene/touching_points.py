@@ -226,13 +226,15 @@ class TouchingPoints:
 
         Pairs that touch at the same instant collide together, as when a plank falls flat onto two blocks.
         """
-        touching = self._state.touching
-        near = [k for k in np.flatnonzero(self._apart.at(q) <= self.tolerance).tolist() if k not in touching]
+        near = np.flatnonzero(self._apart.at(q) <= self.tolerance).tolist()
         filled: list[int] = []
         if near:
             forward_kinematics(self._model, self._data, q, v)
         for watched in map(self._watched, near):
             placed = watched.pair.placed(self._data)
+            if watched.points:
+                filled += self._join_points(watched, placed)
+                continue
             found = gap(*placed)
             if found.value > self.tolerance:
                 continue
@@ -241,6 +243,15 @@ class TouchingPoints:
             if self._fastest(watched, placed, normal) < 0.0:
                 filled += self._add(watched, points, placed, normal)
         return filled
+
+    def _join_points(self, watched: Watched, placed: Placed) -> list[int]:
+        """Set the contacts of further points of a touching pair that approach, as those of `join`."""
+        i = next(iter(watched.points))
+        normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
+        velocity = watched.pair.relative_velocity(self._data)
+        every = touches(*placed, normal, self.tolerance)
+        found = [touch for touch in every if velocity(touch.point) @ normal < -self._work.resting_speed]
+        return self._add(watched, found, placed, normal)
 
     def _touching_along(
         self, watched: Watched, placed: Placed, normal: Array, within: float
