@@ -294,10 +294,9 @@ class TimeStepping(Integrator):
         return rows, system, found, (ends[0], ends[1], ends[2])
 
     def _locate_more(self, closing: Integers) -> bool:
-        """Locate the impacts of all contacts of bodies where a contact with undecided normal closes. (16.3)
-
-        Returns whether there are more than before; `closing` are the numbers of arriving contacts and limits.
-        """
+        """Locate all impacts of bodies with an undecided normal in `closing`; return if there are more."""
+        if not closing.size:
+            return False
         ends, closing = self.work.contact_joints, closing[closing < self.work.contacts]
         undecided = closing[self._faces.ties[closing] & ~self._located[closing]]
         more = np.isin(ends, ends[undecided][ends[undecided] > 0]).any(axis=1) & ~self._collides[: len(ends)]
