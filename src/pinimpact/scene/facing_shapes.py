@@ -167,10 +167,12 @@ class FacingShapes:
                 *(self._blanks, self._rests, self.ties, self._facing),
             )
             self._dynamics.check()
-        facing = (self._facing.used > 0) & ((touching >= 0.0) | self.ties[self._ranges[:, 2]])
-        if facing.any() or self._pairs:
+        facing = np.flatnonzero(self._facing.used)
+        if touching < 0.0:
+            facing = facing[self.ties[self._ranges[facing, 2]]]
+        if facing.size or self._pairs:
             forward_kinematics(self._model, self._data, q, v)
-        for p in np.flatnonzero(facing).tolist():
+        for p in facing.tolist():
             self._decide_boxes(p, touching)
         if not self._pairs:
             return
