@@ -249,13 +249,14 @@ class FacingShapes:
             for k in range(count):
                 self._strike(places.pair, first + k, normal, (points[p, k], others[p, k]))
             return
-        gaps = (points[p, :count] - others[p, :count]) @ normal
-        if touching < 0.0 and float(gaps.min()) > self._near:  # still apart
-            return
         ends = points[p, :count].copy(), others[p, :count].copy()
+        gaps = (ends[0] - ends[1]) @ normal
         found = Patch(normal, *ends, gaps, kinds[p, :count].copy(), edges[p].copy())
+        decided = self._decided(places.pair, found, float(within[p]), touching)
+        if decided is found and touching < 0.0:  # as the kernel has filled it
+            return
         places.used = count
-        self._fill(places, self._decided(places.pair, found, float(within[p]), touching), touching >= 0.0)
+        self._fill(places, decided, touching >= 0.0)
         used[p] = places.used
         self._decided_boxes[p] = places
 

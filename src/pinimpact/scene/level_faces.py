@@ -65,19 +65,15 @@ def _law(contact: Contact) -> tuple[object, ...]:
 def hull_corners(points: Array, tolerance: float) -> set[int]:
     """Return the corners of the convex hull of points (k, 2), by gift wrapping.
 
-    Points closer than `tolerance` are one, and so close to a side they lie on it.
+    Points closer than `tolerance` are one, and so close to a side they lie on it. SciPy's hull sometimes
+    takes points that differ by rounding for several corners.
     """
     given = points.tolist()
     start = int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))
     corners, here = [start], start
     while len(corners) <= len(given):
         x, y = given[here]
-        best, farthest, u, w = (
-            -1,
-            0.0,
-            0.0,
-            0.0,
-        )  # all other points are to the left of the side to the best one
+        best, farthest, u, w = -1, 0.0, 0.0, 0.0  # all others are to the left of the side to the best one
         for k, (a, b) in enumerate(given):
             distance = math.hypot(a - x, b - y)
             if distance <= tolerance:

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -166,7 +166,7 @@ class SceneImpacts:
         e, limit = self._limit_restitution, self._dynamics.limits[i - len(self._dynamics.contacts)]
         resting = e > 0.0 and (slow or e * approach < self._resting_speed)
         e = 0.0 if resting else e
-        _, matrices = self._matrices(q, [i])
+        _, matrices = self._matrices(PlacedRobot(self._model, self._data, q), [i])
         c, k = float(matrices.delassus[2, 2]), limit.index_v
         constrained = self._held or self._locked
         if constrained and c <= ROUNDING * float(inverse_mass(self._model, self._data, q)[k, k]):
@@ -203,10 +203,14 @@ class SceneImpacts:
         Raises:
             CrowdError: The impact is refused, see `refuses`, or many contacts have many events.
         """
-        touching = self._without_points_between(q, self._connected(first, touching))
+        touching = self._connected(first, touching)
         if len(touching) == 1:
             return None
-        every, matrices = self._matrices(q, touching)
+        placed, contacts = PlacedRobot(self._model, self._data, q), self._dynamics.contacts
+        of_contacts = {i: contacts[i] for i in touching if i < len(contacts)}
+        between = points_between(of_contacts, self._dynamics.work.contact_joints, placed.locate)
+        touching = [i for i in touching if i not in between]
+        every, matrices = self._matrices(placed, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])
         work = self._dynamics.work  # gap rates of active contacts are errors of steps
@@ -275,7 +279,7 @@ class SceneImpacts:
         """
         if not touching:
             return None
-        every, matrices = self._matrices(q, touching)
+        every, matrices = self._matrices(PlacedRobot(self._model, self._data, q), touching)
         velocity = matrices.velocity(v)
         velocity[:, 2] = np.minimum(velocity[:, 2], 0.0)
         velocity[~slips, :2] = 0.0
@@ -338,21 +342,14 @@ class SceneImpacts:
         of = islands(self._roots, ends)[ends.max(axis=1)]
         return [i for i, island in zip(touching, of[1:].tolist(), strict=False) if island == of[0]]
 
-    def _without_points_between(self, q: Array, touching: list[int]) -> list[int]:
-        """Return those of `touching` that do not lie between others, see `points_between`."""
-        contacts = {i: self._dynamics.contacts[i] for i in touching if i < len(self._dynamics.contacts)}
-        placed = cache(lambda: PlacedRobot(self._model, self._data, q))
-        ends = self._dynamics.work.contact_joints
-        between = points_between(contacts, ends, lambda contact: placed().locate(contact))
-        return [i for i in touching if i not in between]
-
-    def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
+    def _matrices(
+        self, placed: PlacedRobot, touching: Sequence[int]
+    ) -> tuple[list[Contact | None], ManyMatrices]:
         """Return the contacts, with None for each limit, and their matrices."""
         count = len(self._dynamics.contacts)
         every = [self._dynamics.contacts[i] if i < count else None for i in touching]
         contacts = [contact for contact in every if contact is not None]
         limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
-        placed = PlacedRobot(self._model, self._data, q)
         return every, matrices_of_all(placed, contacts, limits, self._held, self._mobility)
 
     def _solve(

@@ -196,7 +196,6 @@ class TimeStepping(Integrator):
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows, system, found, (share, lost, overlap) = self._solve(t, h, (middle, v), strikes)
-        near = rows.near(self.work.contacts)
         if may_be_halved and self._stiffness.rejects(float(found.stiffness[0]), h):
             state.pushed, state.step_before = before
             return PASSED
@@ -207,6 +206,7 @@ class TimeStepping(Integrator):
             return PASSED
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
+        near = rows.near(self.work.contacts)
         stops = found.fast & self._collides[near] & (found.impulse[rows.normals] > 0.0)
         if stops.any() and not (strikes or self._left):
             self._unlocated = True

@@ -182,11 +182,8 @@ class TouchingPoints:
 
     def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
         """Return the least rate of a corner's height over the other shape along the normal [m/s]."""
-        data, pair = self._data, watched.pair
-        a, b = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
-        linear, angular = np.split(a - b, 2)
         corners = np.concatenate([placed[0].vertices, placed[1].vertices])
-        return float(((linear + np.cross(angular, corners)) @ normal).min())
+        return float((watched.pair.relative_velocity(self._data)(corners) @ normal).min())
 
     def clear(self) -> None:
         """Remove the contacts of all pairs."""
@@ -251,7 +248,7 @@ class TouchingPoints:
         velocity = watched.pair.relative_velocity(self._data)
         every = touches(*placed, normal, self.tolerance)
         found = [touch for touch in every if velocity(touch.point) @ normal < -self._work.resting_speed]
-        return self._add(watched, found, placed, normal)
+        return self._add(watched, found, placed, normal) if found else []
 
     def _touching_along(
         self, watched: Watched, placed: Placed, normal: Array, within: float
