@@ -35,7 +35,7 @@ from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import box, hull
 from pinimpact.robot.shape_pair import shape_pair
 from pinimpact.scene.integrator import Integrator
-from pinimpact.scene.level_faces import hull_corners
+from pinimpact.scene.level_faces import within_hull
 from pinimpact.scene.options import Options
 from pinimpact.scene.pairs_apart import PairsApart
 from pinimpact.scene.progress import Progress
@@ -1013,6 +1013,101 @@ def test_body_of_two_welded_boxes_lands_on_a_floor_and_a_belt_level_with_it():
     assert len(corners) == 8
 
 
+def floor_of(size, shift=(0.0, 0.0), count=9):
+    """Return the contacts of a cube with level square tiles of a size [m]."""
+    places = itertools.product(np.arange(count) - count // 2, repeat=2)
+    tiles = {
+        f"tile {i} {j}": Box(size=(size, size, 0.2), center=(size * i + shift[0], size * j + shift[1], -0.1))
+        for i, j in places
+    }
+    return [
+        Contact(geometry="cube", plane=replace(tile, name=name), friction=0.4) for name, tile in tiles.items()
+    ]
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize(
+    ("size", "shift"), [(0.15, (0.0, 0.0)), (0.2, (0.1, 0.1)), (0.2, (0.04, 0.1)), (0.3, (0.03, 0.05))]
+)
+@pytest.mark.parametrize(
+    "v", [(0.0, 0.0, 8.0), (0.6, 0.6, 0.0), (0.7, 0.2, 5.0), (-0.967, 0.627, 6.604)], ids=str
+)
+def test_box_slides_and_turns_on_tiles_as_on_one_floor(v, size, shift, scheme):
+    """Joints do not change the moment of friction, nor where the box is supported."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="cube")
+    v0, ends = np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), []
+    for contacts in (floor_of(size, shift), Contact(geometry="cube", plane=Plane(), friction=0.4)):
+        ends.append(simulate(Scene(robot, contacts), pose(0.0, 0.0, 0.05), v0, 0.15, scheme=scheme))
+    assert np.linalg.norm(ends[1].q[-1, :2]) > 0.04 or v[0] == 0.0
+    assert ends[0].q[-1] == pytest.approx(ends[1].q[-1], abs=5e-7)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_body_of_two_welded_boxes_turns_on_a_plane_as_one(scheme):
+    """The corners at the weld lie between those of the whole body: they are no contacts."""
+    v0, ends = np.array([0.3, 0.1, 0.0, 0.0, 0.0, 6.0]), []
+    for halves in (1, 2):
+        contacts = [Contact(geometry=f"half {k}", plane=Plane(), friction=0.4) for k in range(halves)]
+        end = simulate(Scene(cube_of(halves), contacts), pose(0.0, 0.0, 0.1), v0, 0.1, scheme=scheme)
+        ends.append(end.q[-1])
+    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
+
+
+def test_box_rests_on_the_higher_one_of_two_floors():
+    """The corners over the lower floor, 50 um below, are not those between which the joint lies."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="cube")
+    floors = [
+        Box(size=(1.0, 1.0, 0.2), center=(x - 0.03, 0.0, z - 0.1), name=f"floor {x}")
+        for x, z in ((0.5, 0.0), (-0.5, -5e-5))
+    ]
+    contacts = [Contact(geometry="cube", plane=floor, friction=0.4) for floor in floors]
+    end = simulate(Scene(robot, contacts), pose(0.0, 0.0, 0.05), np.zeros(6), 0.1, scheme="time-stepping")
+    assert end.q[-1] == pytest.approx(pose(0.0, 0.0, 0.05), abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_foot_between_others_at_another_height_carries_load(scheme):
+    """Its friction has another arm, so it is no mean of those of the others."""
+    feet = [
+        np.array([x, y, -0.1 - low]) for x, low in ((-0.2, 0.1), (0.0, 0.0), (0.2, 0.1)) for y in (-0.1, 0.1)
+    ]
+    model = shaped_body(
+        coal.Box(0.02, 0.02, 0.02), pin.Inertia.FromBox(1.0, 0.4, 0.2, 0.1), name="foot"
+    ).model
+    shapes, parent = pin.GeometryModel(), model.getFrameId("thing")
+    for k, foot in enumerate(feet):
+        placed = pin.SE3(np.eye(3), foot)
+        shapes.addGeometryObject(
+            pin.GeometryObject(
+                f"foot {k}", model.frames[parent].parentJoint, parent, placed, coal.Box(0.02, 0.02, 0.02)
+            )
+        )
+    floors = [
+        Box(size=(0.1, 1.0, 0.2), center=(x, 0.0, z - 0.1), name=f"floor {x}")
+        for x, z in ((-0.2, 0.0), (0.0, 0.1), (0.2, 0.0))
+    ]
+    contacts = [Contact(geometry=f"foot {k}", plane=floor) for k in range(6) for floor in floors]
+    scene = Scene(model, contacts, geometry=shapes)
+    end = simulate(scene, pose(0.0, 0.0, 0.21), np.zeros(6), 0.02, scheme=scheme)
+    middle = [one.label for one in scene.contacts if one.label.startswith(("foot 2", "foot 3"))]
+    assert sum(end.forces(name, 0.01)[2] for name in middle) > 1.0
+
+
+def test_hull_changes_where_three_corners_of_two_tables_are_in_line():
+    """No corner leaves a face there: the corner of a table that comes out of the hull carries load again."""
+    robot = shaped_body(coal.Box(0.4, 0.4, 0.1), pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.1), name="cube")
+    ends = []
+    for scheme, dt in (("event-driven", 1e-3), ("time-stepping", 1e-4)):
+        tables = [
+            Box(size=(1.0, 0.1, 0.2), center=(0.5 + x, 0.1 * k, -0.1), name=f"table {k}")
+            for k, x in zip((-1, 0, 1), (-0.15, -0.11, 0.0), strict=True)
+        ]
+        contacts = [Contact(geometry="cube", plane=one, friction=0.3) for one in tables]
+        v0 = np.array([0.3, 0.0, 0.0, 0.0, 0.0, -2.0])
+        ends.append(simulate(Scene(robot, contacts), pose(0.05, 0.0, 0.05), v0, 0.1, scheme=scheme, dt=dt))
+    assert ends[0].q[-1] == pytest.approx(ends[1].q[-1], abs=1e-5)
+
+
 @pytest.mark.parametrize("rounding", [0.0, 1e-16])
 @pytest.mark.parametrize("angle", [0.0, math.pi / 2.0, 0.3])
 def test_corners_of_the_hull_of_points_on_the_sides_of_a_rectangle(angle, rounding):
@@ -1028,7 +1123,7 @@ def test_corners_of_the_hull_of_points_on_the_sides_of_a_rectangle(angle, roundi
         order = random.permutation(len(points))
         placed = (size * np.array(points)[order]) @ turn.T
         placed += random.normal(0.0, rounding, placed.shape)
-        found = placed[sorted(hull_corners(placed, 1e-9))]
+        found = placed[~within_hull(placed)]
         right = (size * np.array(points[:4])) @ turn.T
         assert len(found) == 4
         assert all(np.linalg.norm(found - corner, axis=1).min() < 1e-12 for corner in right)

@@ -23,6 +23,7 @@ from ._kernels import passing
 from ._kernels.facing_boxes import BOX, HALF, REACH, FacingBoxes, face_boxes, fill_contact
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
+from .level_faces import points_between, with_common_faces
 from .touching_points import Reserved, TouchingPoints
 
 
@@ -102,6 +103,10 @@ class FacingShapes:
         centres, reach = table[used, : passing.REACH], table[used, passing.REACH]
         self._spheres = _Spheres(sides.reshape(-1, 2), joints[used], centres, reach)
         self._set_boxes([every[p] for p in np.flatnonzero(boxes).tolist()])
+        given = [(one.pair, dynamics.contacts[one.numbers[0]]) for one in (*self._box_places, *self._pairs)]
+        self._common = np.full(len(given), -1)  # number of the set of pairs with common faces, boxes first
+        for k, group in enumerate(with_common_faces(given)):
+            self._common[group] = k
 
     @cached_property
     def _data(self) -> Any:
@@ -160,6 +165,11 @@ class FacingShapes:
         """
         self._end_impact()
         self._decided_boxes.clear()
+        self._place(q, v, h, touching)
+        if self._common.max(initial=-1) >= 0:
+            self._omit_between(touching >= 0.0)
+
+    def _place(self, q: Array, v: Array, h: float, touching: float) -> None:
         near = self._near + 8.0 * self._gravity * h * h
         if self.boxes:
             face_boxes(
@@ -226,16 +236,52 @@ class FacingShapes:
     def corners(self) -> dict[int, Corner]:
         """Return the corners that the last `place` assigned, by number of the contact."""
         found: dict[int, Corner] = {}
-        used, *faces, _ = self._facing
-        for p in np.flatnonzero(used).tolist():
-            normal, points, others, kinds, edges = (one[p].copy() for one in faces)
-            for k in range(int(used[p])):
-                pair = self._box_places[p].pair
-                corner = Corner(pair, normal, points[k], others[k], int(kinds[k]), edges)
-                found[int(self._ranges[p, 2]) + k] = corner
-        for places in (*self._pairs, *self._decided_boxes.values()):
-            found |= {i: places.corners[i] for i in places.numbers[: places.used]}
+        for p in np.flatnonzero(self._used).tolist():
+            found |= self._corners_of(p)
         return found
+
+    @property
+    def _used(self) -> Integers:
+        """(p,) Number of the corners of each pair, boxes first."""
+        return np.array([*self._facing.used, *(places.used for places in self._pairs)], dtype=np.int64)
+
+    def _corners_of(self, p: int) -> dict[int, Corner]:
+        """Return the corners of a pair, boxes first, by number of the contact."""
+        boxes = len(self._box_places)
+        places = self._decided_boxes.get(p) if p < boxes else self._pairs[p - boxes]
+        if places is not None:
+            return {i: places.corners[i] for i in places.numbers[: places.used]}
+        used, *faces, _ = self._facing
+        normal, points, others, kinds, edges = (one[p].copy() for one in faces)
+        pair, first = self._box_places[p].pair, int(self._ranges[p, 2])
+        return {
+            first + k: Corner(pair, normal, points[k], others[k], int(kinds[k]), edges)
+            for k in range(int(used[p]))
+        }
+
+    def _omit_between(self, contacts: bool) -> None:
+        """Omit the corners that lie between those of other shapes of the same two bodies. (15.3)
+
+        Args:
+            contacts: Whether `dynamics.contacts` is set too.
+        """
+        common = np.where(self._used > 0, self._common, -1)
+        for group in np.flatnonzero(np.bincount(common + 1)[1:] > 1).tolist():
+            found: dict[int, Corner] = {}
+            for p in np.flatnonzero(common == group).tolist():
+                found |= self._corners_of(p)
+            every = list(found.values())
+            pair = every[0].pair
+            if not contacts and self._rests[[pair.a.joint, pair.b.joint]].all():
+                continue  # as when they came to rest
+            normals, points = np.array([one.normal for one in every]), np.array([one.point for one in every])
+            gaps = np.einsum("ki,ki->k", normals, points - [one.other for one in every])
+            normals[[one.pair.a.joint != pair.a.joint for one in every]] *= -1.0
+            between = points_between(normals, points, gaps)
+            for i in (i for i, lies in zip(found, between.tolist(), strict=True) if lies):
+                self._work.contact_constants[i] = self._blanks[i]
+                if contacts:
+                    self._dynamics.contacts[i] = self._struck.pop(i)
 
     def _decide_boxes(self, p: int, touching: float) -> None:
         """Replace the patch of a pair of boxes by that of `_decided`; set its contacts for impacts.

@@ -22,11 +22,13 @@ class Touching(NamedTuple):
         points: By number of the contact: the features in contact.
         normals: By number of the contact: the normal (3,), from B to A.
         flush: Corners of A and of B that lie in the plane of contact without being in contact.
+        between: Numbers of the contacts whose points lie between others, which have no forces. (15.3)
     """
 
     points: dict[int, PointContact]
     normals: dict[int, Array]
     flush: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+    between: frozenset[int] = frozenset()
 
 
 @dataclass(eq=False, repr=False)

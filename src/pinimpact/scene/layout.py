@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from ..arrays import Array, Bools, Integers
 from ..geometry._kernels.constants import ABSENT, CONSTANTS, KIND
+from ..geometry.plane import Plane
 from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
 from ..robot.forest import data_of, inverse_mass
@@ -23,6 +24,7 @@ from ..robot.shape_pair import ShapePair, shape_pair
 from ._kernels.tolerances import ROUNDING
 from .joint_charts import joint_table
 from .joint_metres import gyration, metres_per_unit
+from .level_faces import law_of, within_hull
 from .reach import chain_length, link_lengths, out_of_reach
 
 K = TypeVar("K")
@@ -98,9 +100,24 @@ class SceneLayout:
 
     @cached_property
     def watched(self) -> tuple[Contact, ...]:
-        """The contacts that may reach their surface."""
-        unreachable = set(self.unreachable)
-        return tuple(contact for contact in self._contacts if contact.label not in unreachable)
+        """The contacts that may reach their surface before others do."""
+        omitted = {*self.unreachable, *self._inner}
+        return tuple(contact for contact in self._contacts if contact.label not in omitted)
+
+    @property
+    def _inner(self) -> Iterator[str]:
+        """The names of corners that lie between those of other shapes of one body, above one plane. (15.3)"""
+        alike: dict[tuple[object, ...], list[tuple[Contact, Array]]] = {}
+        for one in self._contacts:
+            point = one.radius == one.rim == 0.0 and one.pair is None
+            if one.shape is not None and point and isinstance(one.plane, Plane):
+                frame = self._model.frames[frame_id(self._model, one.frame)]
+                key = frame.parentJoint, one.plane, *law_of(one)
+                alike.setdefault(key, []).append((one, frame.placement.act(np.array(one.offset))))
+        for every in alike.values():
+            if len({one.shape for one, _ in every}) > 1:
+                inner = within_hull(np.array([point for _, point in every]))
+                yield from (every[k][0].label for k in np.flatnonzero(inner).tolist())
 
     @cached_property
     def _bounding(self) -> dict[tuple[int, int], Contact]:

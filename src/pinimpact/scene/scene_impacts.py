@@ -39,7 +39,6 @@ from .crowds import BRIEF, CROWD, FEW, ISLANDS, CrowdError
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
-from .level_faces import points_between
 from .records import ImpactGroup
 from .scene import Scene
 from .switched_off import limit_restitution, locked_joints
@@ -206,11 +205,7 @@ class SceneImpacts:
         touching = self._connected(first, touching)
         if len(touching) == 1:
             return None
-        placed, contacts = PlacedRobot(self._model, self._data, q), self._dynamics.contacts
-        of_contacts = {i: contacts[i] for i in touching if i < len(contacts)}
-        between = points_between(of_contacts, self._dynamics.work.contact_joints, placed.locate)
-        touching = [i for i in touching if i not in between]
-        every, matrices = self._matrices(placed, touching)
+        every, matrices = self._matrices(PlacedRobot(self._model, self._data, q), touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])
         work = self._dynamics.work  # gap rates of active contacts are errors of steps

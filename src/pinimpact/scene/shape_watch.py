@@ -23,7 +23,7 @@ from ..geometry.touch_time import Advance, Front, PairState, advance, first_touc
 from ..robot.forest import forward_kinematics, joint_jacobian
 from .dense_step import DenseStep
 from .event_watch import crossing
-from .touching_points import Placed, TouchingPoints, Watched
+from .touching_points import Located, Placed, TouchingPoints, Watched, between_others
 
 THIRDS = 8
 """Number of intervals of a step from which the third rates of corner heights are estimated."""
@@ -31,10 +31,17 @@ THIRDS = 8
 SAMPLES = (0.5, 1.0)
 """Fractions of a step at which points are checked for having left their face or edge."""
 
+INSTANT = 1e-9
+"""Part of a step to which the time is known at which other points lie between the rest: in it, the support
+changes as little as points in one plane differ."""
+
 TURNED = 0.1
 """Fraction of the sine of the angle between two edges by which they may turn before bounds are recomputed."""
 
-MEMBERS_PREFERRED = ("vertex-face", "face-vertex", "edge-edge", "vertex-edge", "edge-vertex", "vertex-vertex")
+LASTING = ("vertex-face", "face-vertex", "edge-edge")
+"""Features that stay in contact while the shapes slide."""
+
+MEMBERS_PREFERRED = (*LASTING, "vertex-edge", "edge-vertex", "vertex-vertex")
 
 
 class Meeting(NamedTuple):
@@ -42,7 +49,7 @@ class Meeting(NamedTuple):
 
     Attributes:
         time: Time of the change [s].
-        pair: Number of the pair.
+        pair: Number of the pair; −1 if only the points that lie between others change.
         leaving: Whether a point leaves its face or edge; else a point comes into contact.
     """
 
@@ -74,7 +81,26 @@ class ShapeWatch(TouchingPoints):
                 meeting = Meeting(found.time, number, False) if found.touches else None
             if meeting is not None and (best is None or meeting.time < best.time):
                 best, end = meeting, meeting.time
-        return best
+        regrouped = self._regrouped(step, end) if self._common and len(self._state.touching) > 1 else None
+        return best if regrouped is None else Meeting(regrouped, -1, False)
+
+    def _regrouped(self, step: DenseStep, end: float) -> float | None:
+        """Return when other points of faces in one plane lie between the rest, up to a time [s], or None."""
+
+        def changed(t: float) -> bool:
+            self._set(step.at(t)[0])
+            return any(watched.now.between != omitted for watched, omitted in self._lying_between())
+
+        before = step.start
+        for part in SAMPLES:
+            time = step.start + part * (end - step.start)
+            if changed(time):
+                while time - before > max(INSTANT * step.h, 2.0 * math.ulp(time)):
+                    middle = 0.5 * (before + time)
+                    before, time = (before, middle) if changed(middle) else (middle, time)
+                return time
+            before = time
+        return None
 
     def _at(self, watched: Watched, step: DenseStep) -> Callable[[float], PairState]:
         model, data, pair = self._model, self._data, watched.pair
@@ -229,6 +255,45 @@ class ShapeWatch(TouchingPoints):
 
     def meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
         """Apply a change of contact; return the numbers of the contacts whose gap closes."""
+        divided = self._divided(step, meeting.time) if self._common else []
+        arriving = self._meet(meeting, step) if meeting.pair >= 0 else []
+        for watched, _, touch, normal in divided:
+            arriving += self._add(watched, [touch], watched.pair.placed(self._data), normal)
+        return arriving + self._omit_between()
+
+    def _divided(self, step: DenseStep, t: float) -> list[Located]:
+        """Return points of faces in one plane that coincide with others at a time [s], but not soon after.
+
+        `_data` is that of this time afterwards.
+        """
+        found: list[Located] = []
+        q, v = step.at(t)
+        for numbers, group in zip(self._common, self._in_common(), strict=True):
+            if not group:
+                continue
+            later = self._later(group[0], step, t, q, v)
+            near = np.flatnonzero(self._apart.at(later) <= self.tolerance).tolist()
+            group += [self._watched(p) for p in numbers if p in near and p not in self._state.touching]
+            if len(group) < 2:
+                continue
+            self._set(later)
+            known = [one for watched in group for one in self._located(watched)]
+            further: list[Located] = []
+            for watched in group:
+                same = watched.pair.a.joint == known[0].watched.pair.a.joint
+                normal = known[0].normal if same else -known[0].normal
+                placed = watched.pair.placed(self._data)
+                every = touches(*placed, normal, self._slack(watched, placed))
+                fresh = self._fresh(watched, [one for one in every if one.kind in LASTING], placed, normal)
+                further += [Located(watched, -1, touch, normal) for touch in fresh]
+            self._set(q)
+            for one in between_others(group, further + known) if further else ():
+                now = follow(one.touch, *one.watched.pair.placed(self._data), one.normal)
+                if one.number < 0 and now.beyond <= self.tolerance:
+                    found.append(one._replace(touch=now.touch, normal=now.normal))
+        return found
+
+    def _meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
         watched = self._watched(meeting.pair)
         q, v = step.at(meeting.time)
         forward_kinematics(self._model, self._data, q, v)
@@ -274,15 +339,18 @@ class ShapeWatch(TouchingPoints):
         linear = motion.linear + np.cross(motion.angular, touch.point)
         return float(np.linalg.norm(linear) + 2.0 * watched.size * np.linalg.norm(motion.angular))
 
+    def _later(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> Array:
+        """Return the configuration at which the shapes have moved on by `CLOSE` of the smaller one's size."""
+        speed = self._relative_speed(watched, q, v)
+        ahead = CLOSE * watched.size / speed if speed > 0.0 else 0.0
+        return step.at(t + min(ahead, 0.1 * step.h))[0]
+
     def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
         """Remove points that leave their faces and edges, and add those in contact slightly later.
 
         Return the numbers of the contacts whose gap closes.
         """
-        speed = self._relative_speed(watched, q, v)
-        ahead = CLOSE * watched.size / speed if speed > 0.0 else 0.0
-        later, _ = step.at(t + min(ahead, 0.1 * step.h))
-        self._set(later)
+        self._set(self._later(watched, step, t, q, v))
         placed = watched.pair.placed(self._data)
         slack = self._slack(watched, placed)
         round_ = watched.pair.a.shape.radius + watched.pair.b.shape.radius > 0.0

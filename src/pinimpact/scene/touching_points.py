@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +21,7 @@ from ._kernels.contact_forces import FREE
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState, Touching
 from .layout import SceneLayout
+from .level_faces import points_between, with_common_faces
 from .pairs_apart import PairsApart
 
 Placed = tuple[PlacedShape, PlacedShape]
@@ -70,6 +71,12 @@ class Watched:
         return self.now.points
 
     @property
+    def acting(self) -> dict[int, PointContact]:
+        """Those of them that are contacts: all but the points between others."""
+        now = self.now
+        return {i: point for i, point in now.points.items() if i not in now.between}
+
+    @property
     def normals(self) -> dict[int, Array]:
         """The normal (3,) of each point, from B to A, by number of the contact."""
         return self.now.normals
@@ -79,6 +86,26 @@ class Watched:
         others = {number: one for number, one in self.state.touching.items() if number != self.number}
         now = self.now._replace(**changes)
         self.state.touching = others | {self.number: now} if now.points else others
+
+
+class Located(NamedTuple):
+    """A point of contact in one configuration, with the number of its contact, or −1."""
+
+    watched: Watched
+    number: int
+    touch: Touch
+    normal: Array
+
+
+def between_others(group: list[Watched], every: list[Located]) -> list[Located]:
+    """Return the points of pairs with common faces that lie between others."""
+    if len(group) < 2:
+        return []
+    first = group[0].pair.a.joint
+    normals = [one.normal if one.watched.pair.a.joint == first else -one.normal for one in every]
+    points = np.array([one.touch.point for one in every])
+    lies = points_between(np.array(normals), points, np.zeros(len(every)))
+    return [one for one, between in zip(every, lies.tolist(), strict=True) if between]
 
 
 Reserved: TypeAlias = list[tuple[ShapePair, list[int]]]
@@ -114,6 +141,8 @@ class TouchingPoints:
         self.reserved = np.array([i for _, numbers in groups for i in numbers], dtype=np.int64)
         self.blanks = work.contact_constants.copy()
         self._open = tuple(dynamics.contacts)
+        laws = (self._open[numbers[0]] for _, numbers in self.places)
+        self._common = with_common_faces(zip((pair for pair, _ in self.places), laws, strict=True))
 
     @cached_property
     def _data(self) -> Any:
@@ -132,7 +161,7 @@ class TouchingPoints:
         if directions is not None:
             self._apart.directions[:] = directions
         for watched in self._touching():
-            for i, point in watched.points.items():
+            for i, point in watched.acting.items():
                 self._dynamics.contacts[i] = point.instant
 
     def _watched(self, number: int) -> Watched:
@@ -179,6 +208,7 @@ class TouchingPoints:
             if found.value <= rounding:
                 points, normal = self._touching_along(watched, placed, found.normal, rounding)
                 self._add(watched, points, placed, normal)
+        self._omit_between()
 
     def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
         """Return the least rate of a corner's height over the other shape along the normal [m/s]."""
@@ -216,7 +246,8 @@ class TouchingPoints:
                 near = max(within, abs(found.value))
                 points, normal = self._touching_along(watched, placed, found.normal, near)
                 filled += self._add(watched, points, placed, normal)
-        return filled
+        self._omit_between()
+        return [i for i in filled if self._dynamics.contacts[i] is not self._open[i]]
 
     def join(self, q: Array, v: Array) -> list[int]:
         """Set the contacts of pairs that approach with a gap within the tolerance; return their numbers.
@@ -239,6 +270,8 @@ class TouchingPoints:
             points, normal = self._touching_along(watched, placed, found.normal, within)
             if self._fastest(watched, placed, normal) < 0.0:
                 filled += self._add(watched, points, placed, normal)
+        if filled:
+            self._omit_between()
         return filled
 
     def _join_points(self, watched: Watched, placed: Placed) -> list[int]:
@@ -275,7 +308,8 @@ class TouchingPoints:
                 now = follow(point.touch, *placed, watched.normals[i])
                 instant = self._point(watched, i, placed, now.touch, now.normal).instant
                 points[i], normals[i] = point._replace(instant=instant), now.normal
-                self._dynamics.contacts[i] = instant
+                if i not in watched.now.between:
+                    self._dynamics.contacts[i] = instant
             watched.update(points=points, normals=normals)
 
     def _point(self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
@@ -285,17 +319,11 @@ class TouchingPoints:
 
     def _add(self, watched: Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
         """Assign contacts to the points in contact that have none; return the numbers of these contacts."""
-        present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
-        near = watched.coincidence
-        fresh = [
-            touch
-            for touch in found
-            if all(float(np.linalg.norm(touch.point - other)) > near for other in present)
-        ]
+        fresh = self._fresh(watched, found, placed, normal)
         free = [i for i in watched.places if i not in watched.points]
         if len(fresh) > len(free):
             raise IrregularMotionError(
-                f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more "
+                f"contacts: {watched.label!r} touches in {len(watched.points) + len(fresh)} points, more "
                 f"than the {len(watched.places)} that two such faces can share; corners may "
                 "differ by rounding",
                 value=watched.label,
@@ -306,8 +334,22 @@ class TouchingPoints:
             watched.update(flush=_NOTHING.flush)
         return free[: len(fresh)]
 
+    def _fresh(self, watched: Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[Touch]:
+        """Return the points that do not coincide with points that have a contact."""
+        present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
+        near = watched.coincidence
+        return [
+            touch
+            for touch in found
+            if all(float(np.linalg.norm(touch.point - other)) > near for other in present)
+        ]
+
     def _assign(self, watched: Watched, i: int, point: PointContact, normal: Array) -> None:
         watched.update(points={**watched.points, i: point}, normals={**watched.normals, i: normal})
+        self._fill(i, point)
+
+    def _fill(self, i: int, point: PointContact) -> None:
+        """Let contact i represent a point."""
         tip, base, constants = contact_constants(self._model, point.lasting or point.instant)
         self._work.contact_constants[i], self._work.contact_joints[i] = constants, (tip, base)
         self._dynamics.contacts[i] = point.instant
@@ -315,10 +357,49 @@ class TouchingPoints:
     def _remove(self, watched: Watched, i: int) -> None:
         """Remove the point of contact i."""
         points, normals = ({k: x for k, x in of.items() if k != i} for of in watched.now[:2])
-        watched.update(points=points, normals=normals)
+        watched.update(points=points, normals=normals, between=watched.now.between - {i})
+        self._empty(i)
+
+    def _empty(self, i: int) -> None:
+        """Let contact i represent no point."""
         self._work.contact_constants[i], self._work.contact_joints[i] = self.blanks[i], 0
         self._dynamics.contacts[i] = self._open[i]
         self._work.modes[i] = FREE
+
+    def _omit_between(self) -> list[int]:
+        """Omit the contacts of points that now lie between others; return the contacts that no longer do."""
+        again: list[int] = []
+        for watched, omitted in self._lying_between():
+            before = watched.now.between
+            watched.update(between=omitted)
+            for i in omitted - before:
+                self._empty(i)
+            for i in before - omitted:
+                self._fill(i, watched.points[i])
+                again.append(i)
+        return again
+
+    def _lying_between(self) -> Iterator[tuple[Watched, frozenset[int]]]:
+        """Return pairs with common faces, and which of their points lie between others, by number. (15.3)
+
+        The configuration is that of `_data`.
+        """
+        for group in self._in_common():
+            found = between_others(group, [one for watched in group for one in self._located(watched)])
+            for watched in group:
+                yield watched, frozenset(one.number for one in found if one.watched.number == watched.number)
+
+    def _in_common(self) -> Iterator[list[Watched]]:
+        """Return the sets of touching pairs with common faces."""
+        for numbers in self._common:
+            yield [self._watched(p) for p in numbers if p in self._state.touching]
+
+    def _located(self, watched: Watched) -> Iterator[Located]:
+        """Return the points of a touching pair in the configuration of `_data`."""
+        placed = watched.pair.placed(self._data)
+        for i, point in watched.points.items():
+            now = follow(point.touch, *placed, watched.normals[i])
+            yield Located(watched, i, now.touch, now.normal)
 
     def review(self) -> None:
         """Remove the points that have separated.
@@ -326,11 +407,12 @@ class TouchingPoints:
         Raises:
             IrregularMotionError: A corner stays on a corner or edge, where the normal is undetermined.
         """
-        modes = self._work.modes
+        modes, opened = self._work.modes, False
         for watched in self._touching():
-            for i in watched.points:
+            for i in watched.acting:
                 if modes[i] == FREE:
                     self._remove(watched, i)
+                    opened = True
                 elif watched.points[i].lasting is None:
                     kind = watched.points[i].touch.kind.replace("-", " on ")
                     raise IrregularMotionError(
@@ -338,6 +420,12 @@ class TouchingPoints:
                         "determined; start slightly beside it, or give one of the shapes a radius",
                         value=watched.label,
                     )
+        if opened and self._common:
+            self._set(self._state.q)
+            while opening := set(self._omit_between()):  # points between those that open do too
+                for watched in self._touching():
+                    for i in watched.points.keys() & opening:
+                        self._remove(watched, i)
 
     def swapped(self) -> Integers:
         """Return the contacts whose forces act on the second shape of their pair."""
