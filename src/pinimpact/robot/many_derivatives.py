@@ -112,6 +112,8 @@ class RowSlopes:
         carried: Contacts with points and faces fixed to the shapes; those of corners are of their features.
         fixed: `ContactRow` of each of `carried`.
         signs: (n,) −1 for contacts of `carried` whose tip is on the second shape, else 1.
+        slides: (n, nv) changes of the gaps, in addition to the Jacobian, as corners move over faces that the
+            normal is not that of.
         features_meet: Whether a corner is a vertex of one shape on an edge of the other.
 
     Raises:
@@ -141,11 +143,14 @@ class RowSlopes:
                 self.signs[k] = -1.0
         self.rows = rows_of(placed, self.tree, now, True)
         self.axes, self.fixed = [row.axes for row in self.rows], list(self.rows)
+        self.slides = np.zeros((len(now), len(self._still)))
         for k, corner in corners.items():
             if corner.on_face and k not in idle:
                 place = self.rows[k].place
                 (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)
                 self.features_meet |= corner.follow(placed.data, self.tree.J, place.shifts)
+                fixed = self.fixed[k]
+                self.slides[k] = (place.shifts[:, :3] - fixed.place.shifts[:, :3]) @ fixed.axes[2]
         if on_surface:
             for row, contact in zip(self.rows, now, strict=True):
                 row.place.move_onto_surface(placed.geometry(contact))

@@ -404,6 +404,7 @@ class StepSlopes:
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
         start, end, gaps = np.zeros((3, len(jacobian), 2 * nv + 1))
         gaps[:, :nv] = start[:, nv:-1] = jacobian
+        gaps[2 : 3 * len(turns) : 3, :nv] += slopes.slides
         places, moved = (
             Places(stacked(slopes.tree, slopes.rows), taken.axes, turns),
             np.empty((len(turns), 3, nv)),
@@ -467,6 +468,7 @@ class StepSlopes:
             motions = slopes.tree.motions(xi)
             for k, row in enumerate(slopes.rows):
                 turned[3 * k : 3 * k + 3] = row.slopes(motions)
+            turned[2:of_contacts:3] += slopes.slides
             pushing = every < of_contacts
             world[every[pushing] // 3, every[pushing] % 3] = pushes[pushing]
             kept = jacobian[every[acts]]

@@ -86,12 +86,13 @@ class StepTaken:
     removals: list[Removal] = field(default_factory=list)
 
     def idle(self) -> frozenset[int]:
-        """Return the indices of near contacts that stay open in the step and have no impulse."""
+        """Return the indices of near contacts that stay open and have no impulse, in no iteration either."""
         found, rows = self.found, self.rows.normals[: len(self.rows.contacts)]
         end = found.gap_end[: len(rows)]
         middle = end - 0.5 * self.h * found.u_end[rows]
         least = np.minimum(np.minimum(end, middle), middle - 0.5 * self.h * found.u_start[rows])
-        open_ones = (found.impulse[rows] == 0.0) & (least > self.touching)
+        acted = (found.impulse[rows] != 0.0) | (found.course[1][:, rows] != 0.0).any(axis=0)
+        open_ones = ~acted & (least > self.touching)
         return frozenset(np.flatnonzero(open_ones).tolist())
 
     def open_at_start(self, bends: Array) -> Bools:
