@@ -303,12 +303,17 @@ def test_box_falling_flat_while_sliding_on_edge(friction, turn, v):
     assert np.isfinite(found.state).all()
 
 
+def cube_on_two_floors(friction=0.4):
+    """Return a scene of a cube of 0.2 m on two level floors that meet at x = 0.03 m."""
+    cube = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    floors = [Box(size=(1.0, 1.0, 0.2), center=(0.03 + x, 0, -0.1), name=f"floor {x}") for x in (-0.5, 0.5)]
+    return Scene(cube, [Contact(geometry="cube", plane=floor, friction=friction) for floor in floors])
+
+
 def test_cube_that_settles_on_two_level_floors():
     # eight corners exchange load while some slide and some lift off: the iterations have no limit, and repeat
     # any inconsistency of the derivatives of gaps and velocities; velocities are resolved to 4e-7 m/s
-    cube = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
-    floors = [Box(size=(1.0, 1.0, 0.2), center=(0.03 + x, 0, -0.1), name=f"floor {x}") for x in (-0.5, 0.5)]
-    scene = Scene(cube, [Contact(geometry="cube", plane=floor, friction=0.4) for floor in floors])
+    scene = cube_on_two_floors()
     turn = pin.Quaternion(pin.utils.rotate("y", 0.02) @ pin.utils.rotate("x", 0.013)).coeffs()
     q, v = np.array([0, 0, 0.115, *turn]), np.array([0.3, 0.1, -1.0, 0.2, 0.1, 0.3])
     compare(scene, q, v, 0.018, step=1e-7, tolerance=1e-5)  # falls flat
@@ -319,6 +324,15 @@ def test_cube_that_settles_on_two_level_floors():
         ends = [pin.integrate(scene.model, q, step * np.eye(6)[k]) for step in steps]
         ends = [simulate(scene, end, v, 0.02, scheme="time-stepping").v[-1] for end in ends]
         assert np.allclose(found.state[6:, k], np.polyfit(steps, ends, 1)[0], atol=0.2)
+
+
+def test_corners_of_faces_that_are_almost_parallel():
+    # within 4e-7 rad of parallel, corners are of the shape they belong to, but have the normal of either face
+    turn = pin.exp3(np.array([1.5e-7, -2.5e-7, 0.0])) @ pin.utils.rotate("z", 0.3)
+    q = np.array([0, 0, 0.10003, *pin.Quaternion(turn).coeffs()])
+    v = np.array([-0.3, 0.2, -0.05, 1e-4, 2e-4, 0.5])
+    for k in (0, 1, 5, 11):
+        compare(cube_on_two_floors(0.9), q, v, 0.003, columns=[k], tolerance=1e-5)
 
 
 def test_derivatives_of_impulses_without_recorded_iterations():

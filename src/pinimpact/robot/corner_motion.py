@@ -63,8 +63,10 @@ class Corner(NamedTuple):
             raise self._unknown
         return feature_contact(self.pair, data, self.normal, self._cores, self.kind, self.edges, basis)
 
-    def follow(self, data: pin.Data, columns: Array, shifts: Array) -> bool:
+    def follow(self, data: pin.Data, columns: Array, shifts: Array) -> tuple[Array, bool]:
         """Set in `shifts` the motion of a corner on a face and of the normal, which `contact` takes as fixed.
+
+        The normal is that of either face: of nearly parallel ones it need not be that of `kind`.
 
         Args:
             data: Data of the robot with up-to-date joint placements.
@@ -72,7 +74,9 @@ class Corner(NamedTuple):
             shifts: (nv, SHIFT) of `configuration_slopes`, for `contact`; is updated.
 
         Returns:
-            Whether the corner is a vertex on an edge of the other shape; its motion then differs by side.
+            (nv,) changes of the gap in addition to those by the Jacobian, as the corner moves over a face
+            with a different normal; and whether the corner is a vertex on an edge of the other shape, so that
+            its motion differs by side.
 
         Raises:
             InputError: The motion of the features is not known.
@@ -82,15 +86,21 @@ class Corner(NamedTuple):
         p, q = self._cores
         one = _Side(a, _motions(columns, shifts[:, places.TIP]), p)
         two = _Side(b, _motions(columns, shifts[:, places.CARRIER]), q)
-        if self.kind == PLANE:
-            moved, turn, radius = _over_face(one, two, n), two.motions[1] @ pin.skew(n), a.shape.radius
-        else:
-            moved, turn, radius = _over_face(two, one, -n), one.motions[1] @ pin.skew(n), -b.shape.radius
+        moved = _over_face(one, two, n) if self.kind == PLANE else _over_face(two, one, -n)
         if moved is None:
             raise self._unknown
+        face, opposite, turning, radius = two.facing(n), -one.facing(-n), two, a.shape.radius
+        opens = moved - two.moves(q)
+        if self.kind == TIP_PLANE:
+            face, opposite, turning, radius = opposite, face, one, -b.shape.radius
+            opens = one.moves(p) - moved
+        if np.linalg.norm(opposite - n) < np.linalg.norm(face - n):
+            turning = one if turning is two else two
+        turn = turning.motions[1] @ pin.skew(n)
         shifts[:, :3] = moved - radius * turn
         shifts[:, places.TURN : places.TURN + 3] = -turn @ pin.skew(n)
-        return any(s.at_vertex and o.edge is not None for s, o in ((one, two), (two, one)))
+        slides = opens @ face / (face @ n) - (one.moves(p) - two.moves(q)) @ n
+        return slides, any(s.at_vertex and o.edge is not None for s, o in ((one, two), (two, one)))
 
 
 def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> list[tuple[Corner, Contact]]:
@@ -125,6 +135,11 @@ class _Side(NamedTuple):
     def moves(self, point: Array) -> Array:
         """Return the velocities (nv, 3) of a point that moves with it."""
         return np.asarray(self.motions[0] + self.motions[1] @ pin.skew(point))
+
+    def facing(self, normal: Array) -> Array:
+        """Return the outward normal (3,) of its face closest to a direction; the direction without faces."""
+        normals = self.placed.normals
+        return np.asarray(normals[int(np.argmax(normals @ normal))]) if len(normals) else normal
 
     @property
     def _near(self) -> float:
@@ -167,7 +182,7 @@ def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
         return moved
     carried = b.moves(a.point)
     if b.at_vertex:  # along the normal it moves with the face of A
-        facing = a.placed.normals[int(np.argmin(a.placed.normals @ normal))]
+        facing = a.facing(-normal)
         return carried + np.outer((moved - carried) @ facing / (facing @ normal), normal)
     edge, side = a.edge, b.edge
     if edge is None or side is None:

@@ -112,8 +112,7 @@ class RowSlopes:
         carried: Contacts with points and faces fixed to the shapes; those of corners are of their features.
         fixed: `ContactRow` of each of `carried`.
         signs: (n,) −1 for contacts of `carried` whose tip is on the second shape, else 1.
-        slides: (n, nv) changes of the gaps, in addition to the Jacobian, as corners move over faces that the
-            normal is not that of.
+        slides: (n, nv) changes of the gaps in addition to those by the Jacobian, see `Corner.follow`.
         features_meet: Whether a corner is a vertex of one shape on an edge of the other.
 
     Raises:
@@ -148,9 +147,8 @@ class RowSlopes:
             if corner.on_face and k not in idle:
                 place = self.rows[k].place
                 (self.fixed[k],) = rows_of(placed, self.tree, [self.carried[k]], True)
-                self.features_meet |= corner.follow(placed.data, self.tree.J, place.shifts)
-                fixed = self.fixed[k]
-                self.slides[k] = (place.shifts[:, :3] - fixed.place.shifts[:, :3]) @ fixed.axes[2]
+                self.slides[k], meet = corner.follow(placed.data, self.tree.J, place.shifts)
+                self.features_meet |= meet
         if on_surface:
             for row, contact in zip(self.rows, now, strict=True):
                 row.place.move_onto_surface(placed.geometry(contact))
