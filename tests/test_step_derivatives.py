@@ -335,6 +335,19 @@ def test_corners_of_faces_that_are_almost_parallel():
         compare(cube_on_two_floors(0.9), q, v, 0.003, columns=[k], tolerance=1e-5)
 
 
+def test_removal_of_overlap_at_redundant_corners():
+    # multipliers of redundant gaps are shared in proportion to the mobility there, which turns a tilted cube
+    cube = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
+    centers = [(0.03 + x, 0.02 + y, -0.1) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    floors = [Box(size=(1.0, 1.0, 0.2), center=center, name=f"floor {center}") for center in centers]
+    scene = Scene(cube, [Contact(geometry="cube", plane=floor, friction=0.9) for floor in floors])
+    q = np.array([0, 0, 0.100012, *pin.Quaternion(pin.exp3(np.array([-1.7e-5, -1.6e-6, 0.0]))).coeffs()])
+    v = np.array([0.006, -0.04, -0.3, 0.003, -0.015, -0.08])
+    found = simulate(scene, q, v, 0.001, scheme="time-stepping", sensitivities="state").sensitivity(0.001)
+    expected = difference_quotient(scene, q, v, 0.001, 1e-3, np.eye(12)[2], 3e-6)
+    assert np.allclose(found.state[:, 2], expected, rtol=0.0, atol=1e-6)
+
+
 def test_derivatives_of_impulses_without_recorded_iterations():
     """Three iterations represent impulses of the direct method; the box lands on two independent corners."""
     model = box((0.2, 0.2, 0.1))

@@ -136,7 +136,7 @@ def dense(rows: StepRows, nv: int) -> Array:
     return out
 
 
-def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
+def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array | None = None) -> Array:
     """Return impulses λ (m, n) that cause velocities (m, n), in the limit of small compliances C.
 
     In the null space of the matrix, ℓᵀ C λ = 0. Columns with NaN stay NaN.
@@ -144,11 +144,15 @@ def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -
     Args:
         matrix: (m, m) velocities per impulse, of any rank.
         velocities: (m, n) velocities.
-        compliances: (m,) C.
+        compliances: (m,) C; None for those of rows without contacts, in proportion to the diagonal of the
+            matrix, or to its largest entry in rows that no impulse moves.
     """
     m = len(matrix)
     if m == 0:
         return np.full_like(velocities, np.nan)
+    if compliances is None:
+        largest = float(matrix.diagonal().max()) or 1.0
+        compliances = np.where(matrix.diagonal() > RANK * largest, matrix.diagonal(), largest)
     sizes = np.linalg.svd(matrix, compute_uv=False)
     small = sizes <= RANK * sizes[0]
     if not small.any():

@@ -479,7 +479,7 @@ class StepSlopes:
             solved = np.linalg.solve(mass, np.column_stack([bent, kept.T]))
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
-            impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
+            impulses = limit_of_compliances(kept @ response, opened)
             by_xi = free + response @ impulses
             by_q, by_v = (
                 self._advanced(before, xi, by_q, by_xi),
