@@ -25,6 +25,11 @@ error of changes is 3·10⁻⁶ W/w after the first one, with w the part of W th
 after three."""
 
 
+UNRESOLVED = LITTLE * LITTLE
+"""Singular value of W, relative to its diagonal, of displacements that the iterations which remove overlap
+leave as they are: with r of `LITTLE` of the diagonal, each iteration removes a thousandth of them."""
+
+
 class StepLaw:
     """The law of the contacts, limits and dry joints of a step, as its iterations solve it.
 
@@ -136,7 +141,21 @@ def dense(rows: StepRows, nv: int) -> Array:
     return out
 
 
-def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array | None = None) -> Array:
+def limit_of_removal(matrix: Array, gaps: Array) -> Array:
+    """Return multipliers (m, n) that cause displacements `gaps` (m, n), as the removal of overlap does.
+
+    The matrix (m, m) are displacements per multiplier. Compliances are in proportion to its diagonal.
+    """
+    diagonal = matrix.diagonal()
+    largest = float(diagonal.max(initial=0.0)) or 1.0
+    root = np.sqrt(np.where(diagonal > RANK * largest, diagonal, largest))
+    scaled, ones = matrix / np.outer(root, root), np.ones(len(matrix))
+    return limit_of_compliances(scaled, gaps / root[:, None], ones, UNRESOLVED) / root[:, None]
+
+
+def limit_of_compliances(
+    matrix: Array, velocities: Array, compliances: Array, resolved: float = RANK
+) -> Array:
     """Return impulses λ (m, n) that cause velocities (m, n), in the limit of small compliances C.
 
     In the null space of the matrix, ℓᵀ C λ = 0. Columns with NaN stay NaN.
@@ -144,17 +163,14 @@ def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array | 
     Args:
         matrix: (m, m) velocities per impulse, of any rank.
         velocities: (m, n) velocities.
-        compliances: (m,) C; None for those of rows without contacts, in proportion to the diagonal of the
-            matrix, or to its largest entry in rows that no impulse moves.
+        compliances: (m,) C.
+        resolved: Singular value, relative to the largest, up to which it is taken as zero.
     """
     m = len(matrix)
     if m == 0:
         return np.full_like(velocities, np.nan)
-    if compliances is None:
-        largest = float(matrix.diagonal().max()) or 1.0
-        compliances = np.where(matrix.diagonal() > RANK * largest, matrix.diagonal(), largest)
     sizes = np.linalg.svd(matrix, compute_uv=False)
-    small = sizes <= RANK * sizes[0]
+    small = sizes <= resolved * sizes[0]
     if not small.any():
         return np.asarray(np.linalg.solve(matrix, velocities), dtype=float)
     found, known = np.full_like(velocities, np.nan), np.isfinite(velocities).all(axis=0)

@@ -28,7 +28,7 @@ from .impact_jumps import Parameter
 from .joint_charts import turned_axes, turning
 from .row_bends import less_turning, row_bends
 from .scene import Scene
-from .step_sets import StepLaw, dense, limit_of_compliances
+from .step_sets import StepLaw, dense, limit_of_compliances, limit_of_removal
 from .step_taken import StepTaken
 
 
@@ -479,7 +479,7 @@ class StepSlopes:
             solved = np.linalg.solve(mass, np.column_stack([bent, kept.T]))
             free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
             opened = -(kept @ free + (gaps[acts, None] * kept + turned[every[acts]]) @ by_q)
-            impulses = limit_of_compliances(kept @ response, opened)
+            impulses = limit_of_removal(kept @ response, opened)
             by_xi = free + response @ impulses
             by_q, by_v = (
                 self._advanced(before, xi, by_q, by_xi),
