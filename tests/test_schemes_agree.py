@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import brentq
 
-from pinimpact import Boundary, Contact, JointPD, Plane, Scene, Shape, Sphere, Stepper, impact, simulate
+from pinimpact import Boundary, Box, Contact, JointPD, Plane, Scene, Shape, Sphere, Stepper, impact, simulate
 
 from .scene_models import UP, G, shaped_body, unbounded
 from .test_time_stepping import boxes
@@ -395,3 +395,25 @@ def test_boxes_that_slide_side_by_side_share_their_load_as_in_time_steps():
     for label in [contact.label for contact in scene.contacts if contact.label.startswith("floor")]:
         for t in (0.0505, 0.1505, 0.2505):
             assert located.forces(label, t) == pytest.approx(stepped.forces(label, t), abs=0.1)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 7e-4, 2.3e-4])
+def test_flat_landing_with_restitution_on_one_of_two_floors(dt):
+    """The contacts without restitution must not slow down the impact of the others before it."""
+    scene = boxes(1, SIZE, 1.0)
+    floors = [
+        Contact(
+            geometry="box_0_0",
+            plane=Box(size=(1, 1, 0.2), center=(side, 0, -0.1), name=name),
+            friction=0.3,
+            restitution=e,
+        )
+        for side, name, e in ((-0.5, "clay", 0.0), (0.5, "rubber", 0.5))
+    ]
+    scene = dataclasses.replace(scene, contacts=floors)
+    start = [0, 0, 0.35, *UP], np.zeros(6), 0.26
+    exact = simulate(scene, *start, scheme="event-driven")
+    found = simulate(scene, *start, scheme="time-stepping", dt=dt)
+    assert abs(exact.v[-1, 4]) > 1.0
+    assert np.abs(found.v[-1] - exact.v[-1]).max() < 1e-3
+    assert found.energy.total[-1] == pytest.approx(exact.energy.total[-1], abs=1e-4)

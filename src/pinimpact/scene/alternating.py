@@ -204,7 +204,7 @@ class Alternating(TimeStepping):
         self._faces.place(state.q, state.v, 0.0, touching=self._touching)
         gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
         # the first step stops the contacts that arrive without restitution
-        if (self._located & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
+        if (self._impacts.always & (gaps <= self._touching) & (rates < -self.work.resting_speed)).any():
             self._collide()
         self._trigger_events()
 

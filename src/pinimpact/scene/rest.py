@@ -49,6 +49,11 @@ class Rest:
         assert islands is not None
         return islands
 
+    def trees_of(self, joints: Integers, limits: Integers) -> Integers:
+        """Return the trees (n + m, 2) of pairs of joints (n, 2), −1 for the world, and of velocities (m,)."""
+        pairs = np.where(joints > 0, self._trees[joints], -1)
+        return np.concatenate([pairs, np.repeat(self.tree[limits][:, None], 2, axis=1)])
+
     def _set_joints(self) -> None:
         self.joints[1:] = self._islands[self._trees[1:]] >= 0
 

@@ -34,6 +34,7 @@ from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
 from .joint_charts import displaced
+from .located_impacts import LocatedImpacts
 from .rest import Rest
 from .smooth_steps import Outcome
 from .step_energy import StepEnergy
@@ -41,7 +42,6 @@ from .step_mass import StepMass, diverged
 from .step_taken import Near, Removal, StepTaken
 from .step_uniqueness import step_tolerances
 from .stiffness import Stiffness
-from .switched_off import limit_restitution, locked_joints
 
 FAILED = 0.1
 """Largest acceptable residual of a contact problem, relative to its velocities."""
@@ -91,12 +91,8 @@ class TimeStepping(Integrator):
         self._mass = StepMass(model, self.data, work, self._tree)
         self._energy = StepEnergy(model, self.data, work.resting_speed)
         self._no_change, self._gravity = np.zeros(model.nv), float(np.linalg.norm(model.gravity.linear))
-        # contacts whose impact law is that of a step (Moreau's) close within its contact problem
-        alike = [c.restitution == 0.0 and c.friction == c.sustained_friction for c in self.dynamics.contacts]
-        alike += [limit_restitution(scene) == 0.0] * len(self.dynamics.limits)
-        self._located = ~np.array(alike, dtype=bool) | (len(locked_joints(scene)) > 0)
-        self._collides = self._located.copy()
-        self._restitution, self._stiffness = np.zeros(len(alike)), Stiffness()
+        self._impacts = LocatedImpacts(scene, self.dynamics, self._rest, self._faces.ties)
+        self._restitution, self._stiffness = np.zeros(len(self._impacts.now)), Stiffness()
         self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
@@ -207,11 +203,11 @@ class TimeStepping(Integrator):
         if self.record.keeps_steps:
             step.taken = self._step_data(h, (middle, v), (system.softened, pushed), axes, rows, found)
         near = rows.near(self.work.contacts)
-        stops = found.fast & self._collides[near] & (found.impulse[rows.normals] > 0.0)
+        stops = found.fast & self._impacts.now[near] & (found.impulse[rows.normals] > 0.0)
         if stops.any() and not (strikes or self._left):
             self._unlocated = True
             self.record.note_once(t, UNLOCATED)
-        closing = strikes & found.arrives & (found.gap_end < 0.0) & self._collides[near]
+        closing = strikes & found.arrives & (found.gap_end < 0.0) & self._impacts.now[near]
         if closing.any():
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals]
             slowest, fastest = 0.5 * float(rates[closing].min()), float(rates[closing].max())
@@ -263,11 +259,10 @@ class TimeStepping(Integrator):
         """
         state, (q, v), slack = self.state, middle, STEPS_SLACK * h * h * self._gravity
         terms, pushed = self._mass.compute(t, q, h), state.pushed
-        self._collides[:] = self._located
-        self._collides[: self.work.contacts] |= self._faces.ties
+        self._impacts.restart()
         system = StepSystem(
             *(self._mass.matrix, self._mass.inverse, *terms, self._tree, self._start),
-            *(self._rest.joints, self._collides, self._restitution, self._compliances, self._gravity),
+            *(self._rest.joints, self._impacts.now, self._restitution, self._compliances, self._gravity),
         )
         state.warm_start = np.array(state.warm_start)
         rows, room = self._rows(q, v, h, slack, self._faces.boxes), ITERATIONS * self.record.keeps_steps
@@ -285,23 +280,13 @@ class TimeStepping(Integrator):
             joined[known] = True
             if not joined[driven].all():
                 rows = self._rows(q, v, h, slack, False, np.union1d(known, driven))
-            elif not self._locate_more(known[found.arrives & (found.gap_end < 0.0)]):
+            elif not (strikes and self._impacts.join(known, rows, found)):
                 break
         if residual > max(USABLE, state.unsolved):
             if state.unsolved == 0.0:
                 self.instant.note(f"A contact problem was solved only to {residual:.2g} of its velocities.")
             state.unsolved = residual
         return rows, system, found, (ends[0], ends[1], ends[2])
-
-    def _locate_more(self, closing: Integers) -> bool:
-        """Locate all impacts of bodies with an undecided normal in `closing`; return if there are more."""
-        if not closing.size:
-            return False
-        ends, closing = self.work.contact_joints, closing[closing < self.work.contacts]
-        undecided = closing[self._faces.ties[closing] & ~self._located[closing]]
-        more = np.isin(ends, ends[undecided][ends[undecided] > 0]).any(axis=1) & ~self._collides[: len(ends)]
-        self._collides[: len(ends)] |= more
-        return bool(more.any())
 
     def _check_result(self, t: float, residual: float, found: StepResult) -> None:
         """Raise an error if the velocities are not finite or the contact problem is not solved."""
@@ -417,7 +402,7 @@ class TimeStepping(Integrator):
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
         given = h, *middle, softened, pushed, follows, self._near_of(rows), axes
-        rest = self._collides[rows.near(work.contacts)], self._touching, self._closable_overlap(h, found)
+        rest = self._impacts.now[rows.near(work.contacts)], self._touching, self._closable_overlap(h, found)
         return StepTaken(*given, rows, found.kept(), *rest)
 
     def _closable_overlap(self, h: float, found: StepResult) -> float:
