@@ -264,7 +264,7 @@ def _on_faces(a: PlacedShape, b: PlacedShape, mask_a: Bools, mask_b: Bools, slac
         Touch("vertex-face", a.vertices[i], _foot_on_face(a.vertices[i], b, k), (i, k))
         for i in np.flatnonzero(mask_a).tolist()
         for k in faces
-        if beyond_sides(b, k, a.vertices[i]) <= slack
+        if b.beyond_sides(k, a.vertices[i]) <= slack
     ]
 
 
@@ -277,15 +277,6 @@ def _on_edges(a: PlacedShape, b: PlacedShape, mask_a: Bools, edges: list[int]) -
             if beyond < 0.0:
                 found.append(Touch("vertex-edge", a.vertices[i], foot, (i, k)))
     return found
-
-
-def beyond_sides(shape: PlacedShape, k: int, point: Array) -> float:
-    """Return how far a point is beyond the sides of a face, negative above it [m]."""
-    corners = shape.vertices[shape.shape.faces[k]]
-    along = np.roll(corners, -1, axis=0) - corners
-    outward = cross(along, shape.normals[k])
-    outward /= np.linalg.norm(outward, axis=1)[:, None]
-    return float(np.einsum("ij,ij->i", outward, point - corners).max())
 
 
 class Followed(NamedTuple):
@@ -305,7 +296,7 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
     if touch.kind == "vertex-face":
         p = a.vertices[i]
         foot = _foot_on_face(p, b, j)
-        return Followed(touch._replace(point=p, other=foot), b.normals[j], beyond_sides(b, j, p))
+        return Followed(touch._replace(point=p, other=foot), b.normals[j], b.beyond_sides(j, p))
     if touch.kind == "edge-edge":
         u, w = a.edge(i), b.edge(j)
         across = cross(u, w)

@@ -58,6 +58,17 @@ class ConvexShape:
                 directions.append(direction)
         return np.array(directions).reshape(-1, 3)
 
+    @cached_property
+    def sides(self) -> list[tuple[Array, Array]]:
+        """For each face the outward unit normals (k, 3) of its sides, and their offsets (k,) [m]."""
+        found = []
+        for face, normal in zip(self.faces, self.normals, strict=True):
+            corners = self.vertices[face]
+            outward = cross(np.roll(corners, -1, axis=0) - corners, normal)
+            outward /= np.linalg.norm(outward, axis=1)[:, None]
+            found.append((outward, np.einsum("ij,ij->i", outward, corners)))
+        return found
+
     def at(self, rotation: Array, translation: Array) -> PlacedShape:
         """Return the shape at a placement."""
         return PlacedShape(self, rotation, translation)
@@ -88,6 +99,11 @@ class PlacedShape:
         first, last = self.vertices[self.shape.edges[k]]
         along: Array = last - first
         return along
+
+    def beyond_sides(self, k: int, point: Array) -> float:
+        """Return how far a point is beyond the sides of a face, negative above it [m]."""
+        outward, offsets = self.shape.sides[k]
+        return float((outward @ ((point - self.translation) @ self.rotation) - offsets).max())
 
     @cached_property
     def directions(self) -> Array:

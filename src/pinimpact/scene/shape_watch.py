@@ -255,21 +255,22 @@ class ShapeWatch(TouchingPoints):
 
     def meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
         """Apply a change of contact; return the numbers of the contacts whose gap closes."""
-        divided = self._divided(step, meeting.time) if self._common else []
+        divided = self._divided(step, meeting) if self._common else []
         arriving = self._meet(meeting, step) if meeting.pair >= 0 else []
         for watched, _, touch, normal in divided:
             arriving += self._add(watched, [touch], watched.pair.placed(self._data), normal)
         return arriving + self._omit_between()
 
-    def _divided(self, step: DenseStep, t: float) -> list[Located]:
-        """Return points of faces in one plane that coincide with others at a time [s], but not soon after.
+    def _divided(self, step: DenseStep, meeting: Meeting) -> list[Located]:
+        """Return points of faces in one plane that coincide with others at a change, but not soon after.
 
-        `_data` is that of this time afterwards.
+        `_data` is that of its time afterwards.
         """
         found: list[Located] = []
+        t = meeting.time
         q, v = step.at(t)
         for numbers, group in zip(self._common, self._in_common(), strict=True):
-            if not group:
+            if not group or not (meeting.pair < 0 or meeting.pair in numbers):
                 continue
             later = self._later(group[0], step, t, q, v)
             near = np.flatnonzero(self._apart.at(later) <= self.tolerance).tolist()
