@@ -1053,6 +1053,19 @@ def test_body_of_two_welded_boxes_turns_on_a_plane_as_one(scheme):
     assert ends[1] == pytest.approx(ends[0], abs=1e-9)
 
 
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+@pytest.mark.parametrize("turn", [0.0, 3.0])
+def test_body_of_two_welded_boxes_slides_over_a_block_of_its_width_as_one(turn, scheme):
+    """Points that coincide at the start part soon, and numbers of contacts are assigned to other points."""
+    v0, ends = np.array([0.5, 0.0, 0.0, 0.0, 0.0, turn]), []
+    for halves in (1, 2):
+        block = Box(size=(0.3, 0.2, 0.2), center=(0.0, 0.0, -0.1))
+        contacts = [Contact(geometry=f"half {k}", plane=block, friction=0.4) for k in range(halves)]
+        end = simulate(Scene(cube_of(halves), contacts), pose(0.0, 0.0, 0.1), v0, 0.1, scheme=scheme)
+        ends.append(end.q[-1])
+    assert ends[1] == pytest.approx(ends[0], abs=1e-7)
+
+
 def test_box_rests_on_the_higher_one_of_two_floors():
     """The corners over the lower floor, 50 um below, are not those between which the joint lies."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="cube")

@@ -304,10 +304,15 @@ def test_box_falling_flat_while_sliding_on_edge(friction, turn, v):
 
 
 def cube_on_two_floors(friction=0.4):
-    """Return a scene of a cube of 0.2 m on two level floors that meet at x = 0.03 m."""
+    """Return a scene of a cube of 0.2 m on two level floors that meet at x = 0.03 m.
+
+    Their stiffness differs, so that no corner is omitted.
+    """
     cube = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
     floors = [Box(size=(1.0, 1.0, 0.2), center=(0.03 + x, 0, -0.1), name=f"floor {x}") for x in (-0.5, 0.5)]
-    return Scene(cube, [Contact(geometry="cube", plane=floor, friction=friction) for floor in floors])
+    given = {"geometry": "cube", "friction": friction}
+    contacts = [Contact(plane=floor, stiffness=1.0 + 1e-12 * k, **given) for k, floor in enumerate(floors)]
+    return Scene(cube, contacts)
 
 
 def test_cube_that_settles_on_two_level_floors():
@@ -335,12 +340,18 @@ def test_corners_of_faces_that_are_almost_parallel():
         compare(cube_on_two_floors(0.9), q, v, 0.003, columns=[k], tolerance=1e-5)
 
 
+def on_four_floors(friction):
+    """Return the contacts of a cube with four level floors, whose stiffness differs: no corner is omitted."""
+    centers = [(0.03 + x, 0.02 + y, -0.1) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    floors = [Box(size=(1.0, 1.0, 0.2), center=center, name=f"floor {center}") for center in centers]
+    given = {"geometry": "cube", "friction": friction}
+    return [Contact(plane=floor, stiffness=1.0 + 1e-12 * k, **given) for k, floor in enumerate(floors)]
+
+
 def test_removal_of_overlap_at_redundant_corners():
     # multipliers of redundant gaps are shared in proportion to the mobility there, which turns a tilted cube
     cube = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
-    centers = [(0.03 + x, 0.02 + y, -0.1) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
-    floors = [Box(size=(1.0, 1.0, 0.2), center=center, name=f"floor {center}") for center in centers]
-    scene = Scene(cube, [Contact(geometry="cube", plane=floor, friction=0.9) for floor in floors])
+    scene = Scene(cube, on_four_floors(0.9))
     q = np.array([0, 0, 0.100012, *pin.Quaternion(pin.exp3(np.array([-1.7e-5, -1.6e-6, 0.0]))).coeffs()])
     v = np.array([0.006, -0.04, -0.3, 0.003, -0.015, -0.08])
     found = simulate(scene, q, v, 0.001, scheme="time-stepping", sensitivities="state").sensitivity(0.001)
@@ -352,9 +363,7 @@ def test_removal_of_overlap_leaves_displacements_that_hardly_change_gaps():
     # a cube tilted by 7e-5 rad on four floors: W has singular values of 1e-10 to 1e-9 of the largest, which
     # the iterations do not resolve; the derivative by the tilt was wrong by 1
     cube = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cube")
-    centers = [(0.03 + x, 0.02 + y, -0.1) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
-    floors = [Box(size=(1.0, 1.0, 0.2), center=center, name=f"floor {center}") for center in centers]
-    scene = Scene(cube, [Contact(geometry="cube", plane=floor, friction=0.0) for floor in floors])
+    scene = Scene(cube, on_four_floors(0.0))
     turn = pin.Quaternion(np.array([1.039377e-05, 3.39801958e-05, 1.49438132e-01, 9.88771077e-01]))
     q = np.array([0, 0, 0.10001948, *turn.normalized().coeffs()])
     v = np.array([-0.23564725, -0.02270263, -0.22159327, 0.00369946, -0.22664502, 0.49290726])

@@ -146,9 +146,9 @@ class Instant:
         where[:] = APART
         if arriving is not None:
             where[arriving] = ARRIVING
-            if self.shapes:
-                where[self.shapes.join(self.state.q, self.state.v)] = ARRIVING
         if self.shapes:
+            joining = [] if arriving is None else self.shapes.join(self.state.q, self.state.v)
+            where[joining], where[self.shapes.between()] = ARRIVING, APART
             self.shapes.refresh(self.state.q)
         self._hit[:] = False
         self.impacts.unresolved, self.impacts.in_steps = 0.0, False

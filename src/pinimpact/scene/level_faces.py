@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ..arrays import Array, Bools
-from ..geometry.tolerances import CLOSE, COINCIDE, LOCAL
+from ..geometry.tolerances import CLOSE, COINCIDE, FACE
 from ..robot.contact import Contact
 from ..robot.shape_pair import ShapePair
 
@@ -54,7 +54,7 @@ def points_between(normals: Array, points: Array, gaps: Array) -> Bools:
     rest = np.arange(len(points))
     while rest.size > 1:
         normal = normals[rest[0]]
-        alike = np.abs(normals[rest] - normal).max(axis=1) <= LOCAL
+        alike = normals[rest] @ normal >= FACE
         same, rest = rest[alike], rest[~alike]
         across = points[same] - points[same[0]]
         across -= (1.0 - OUT_OF_PLANE) * (across @ normal)[:, None] * normal

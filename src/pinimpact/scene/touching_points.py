@@ -366,6 +366,10 @@ class TouchingPoints:
         self._dynamics.contacts[i] = self._open[i]
         self._work.modes[i] = FREE
 
+    def between(self) -> list[int]:
+        """Return the contacts of points between others, which are omitted."""
+        return [i for now in self._state.touching.values() for i in now.between]
+
     def _omit_between(self) -> list[int]:
         """Omit the contacts of points that now lie between others; return the contacts that no longer do."""
         again: list[int] = []
