@@ -1066,6 +1066,39 @@ def test_body_of_two_welded_boxes_slides_over_a_block_of_its_width_as_one(turn, 
     assert ends[1] == pytest.approx(ends[0], abs=1e-7)
 
 
+def parts_of_box(size, centres):
+    """Return a free body with the inertia of a box of 0.3 x 0.2 x 0.1 m; its shapes are boxes."""
+    robot = shaped_body(coal.Box(*size), pin.Inertia.FromBox(1.0, 0.3, 0.2, 0.1), name="part 0")
+    first = robot.collision_model.geometryObjects[0]
+    robot.collision_model.removeGeometryObject("part 0")
+    for k, (x, y) in enumerate(centres):
+        at = pin.SE3(np.eye(3), np.array([x, y, 0.0]))
+        part = pin.GeometryObject(f"part {k}", 1, first.parentFrame, at, coal.Box(*size))
+        robot.collision_model.addGeometryObject(part)
+    return robot
+
+
+def test_edge_of_a_body_of_several_boxes_lands_at_once():
+    """It turns about its corner in contact: points of the edge nearer to it have smaller gaps and rates."""
+    floor = Box(size=(4.0, 4.0, 0.2), center=(0.0, 0.0, -0.1))
+    # in one of sixty draws the inner corner of a leg comes within the tolerance before the outer one
+    turn = {"roll": 0.13625186665615202, "pitch": -0.2981439352425682, "yaw": -0.031634474922059064}
+    linear = np.array([-0.3771224390199772, 0.4435020306729203, 0.056170539476909497])
+    angular = np.array([-0.9926040763941711, 0.8334215274578421, -0.15906100404388201])
+    q0, v0, ends = pose(0.0, 0.0, 0.11, **turn), np.concatenate([linear, angular]), []
+    for size, centres in (
+        ((0.3, 0.2, 0.1), [(0.0, 0.0)]),
+        ((0.1, 0.2, 0.1), [(x, 0.0) for x in (-0.1, 0.0, 0.1)]),
+        ((0.04, 0.04, 0.1), list(itertools.product((-0.13, 0.13), (-0.08, 0.08)))),
+    ):
+        contacts = [Contact(geometry=f"part {k}", plane=floor, friction=0.4) for k in range(len(centres))]
+        scene = Scene(parts_of_box(size, centres), contacts)
+        ends.append(simulate(scene, q0, v0, 0.105, scheme="event-driven"))
+    assert len(ends[0].impacts) == 2
+    for end in ends[1:]:
+        assert end.q[-1] == pytest.approx(ends[0].q[-1], abs=1e-8)
+
+
 def test_box_rests_on_the_higher_one_of_two_floors():
     """The corners over the lower floor, 50 um below, are not those between which the joint lies."""
     robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="cube")

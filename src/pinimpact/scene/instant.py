@@ -89,7 +89,6 @@ class Instant:
         self._recorded = scene.record and "recorded path" not in without
         extent, resting_speed = layout.extent, scene.rest
         self._resting_speed = resting_speed
-
         if starts:
             check_inertia(model, data, state.q)
         self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
@@ -147,8 +146,9 @@ class Instant:
         if arriving is not None:
             where[arriving] = ARRIVING
         if self.shapes:
-            joining = [] if arriving is None else self.shapes.join(self.state.q, self.state.v)
-            where[joining], where[self.shapes.between()] = ARRIVING, APART
+            if arriving is not None:
+                where[self.shapes.join(self.state.q, self.state.v, where.nonzero()[0])] = ARRIVING
+            where[self.shapes.between()] = APART
             self.shapes.refresh(self.state.q)
         self._hit[:] = False
         self.impacts.unresolved, self.impacts.in_steps = 0.0, False

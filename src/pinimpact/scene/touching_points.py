@@ -61,6 +61,11 @@ class Watched:
         return min(self.pair.a.shape.reach, self.pair.b.shape.reach)
 
     @property
+    def radius(self) -> float:
+        """Sum of the radii that round both cores [m]."""
+        return self.pair.a.shape.radius + self.pair.b.shape.radius
+
+    @property
     def coincidence(self) -> float:
         """Distance below which points of the shapes coincide [m]."""
         return coincidence(self.pair.a.shape, self.pair.b.shape)
@@ -86,6 +91,10 @@ class Watched:
         others = {number: one for number, one in self.state.touching.items() if number != self.number}
         now = self.now._replace(**changes)
         self.state.touching = others | {self.number: now} if now.points else others
+
+
+MOST_TOGETHER = 100.0
+"""Largest ratio of the gap rates of points that touch together, as an edge turns about its end."""
 
 
 class Located(NamedTuple):
@@ -249,39 +258,53 @@ class TouchingPoints:
         self._omit_between()
         return [i for i in filled if self._dynamics.contacts[i] is not self._open[i]]
 
-    def join(self, q: Array, v: Array) -> list[int]:
-        """Set the contacts of pairs that approach with a gap within the tolerance; return their numbers.
+    def join(self, q: Array, v: Array, arriving: Integers) -> list[int]:
+        """Set the contacts that collide together with those that arrive; return their numbers.
 
-        Pairs that touch at the same instant collide together, as when a plank falls flat onto two blocks.
+        Points that touch at the same instant collide together, as when a plank falls flat onto two blocks. Of
+        points on an edge that turns about its end, gaps are in proportion to gap rates: they touch together
+        if the times in which they close do not differ by more than that in which those that arrive cover the
+        tolerance.
+
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            arriving: Numbers of the contacts or limits that arrive.
         """
-        near = np.flatnonzero(self._apart.at(q) <= self.tolerance).tolist()
+        most = self.tolerance * MOST_TOGETHER
+        near = np.flatnonzero(self._apart.at(q) <= most).tolist()
         filled: list[int] = []
-        if near:
-            forward_kinematics(self._model, self._data, q, v)
+        if not near:
+            return filled
+        approach = -self._dynamics.gaps_at(q, v)[arriving, 1]
+        approach = approach[approach > self._work.resting_speed]
+        soon = self.tolerance / float(approach.min()) if approach.size else 0.0
+        forward_kinematics(self._model, self._data, q, v)
         for watched in map(self._watched, near):
-            placed = watched.pair.placed(self._data)
-            if watched.points:
-                filled += self._join_points(watched, placed)
-                continue
-            found = gap(*placed)
-            if found.value > self.tolerance:
-                continue
-            within = max(self.tolerance, abs(found.value))
-            points, normal = self._touching_along(watched, placed, found.normal, within)
-            if self._fastest(watched, placed, normal) < 0.0:
-                filled += self._add(watched, points, placed, normal)
+            placed, fresh = watched.pair.placed(self._data), not watched.points
+            if fresh:
+                found = gap(*placed)
+                within = min(max(self.tolerance, soon * -self._fastest(watched, placed, found.normal)), most)
+                if found.value > within:
+                    continue
+                every, normal = self._touching_along(watched, placed, found.normal, max(within, -found.value))
+            else:
+                normal = next(self._located(watched)).normal
+                every = touches(*placed, normal, most)
+            velocity, radius = watched.pair.relative_velocity(self._data), watched.radius
+            joining, met = [], []
+            for touch in every:
+                rate = float(velocity(touch.point) @ normal)
+                height = float((touch.point - touch.other) @ normal) - radius
+                if rate < (0.0 if fresh else -self._work.resting_speed):
+                    joining += [touch] if height <= min(max(self.tolerance, -soon * rate), most) else []
+                elif fresh and height <= self.tolerance:
+                    met.append(touch)
+            joining += met if joining else []
+            filled += self._add(watched, joining, placed, normal)
         if filled:
             self._omit_between()
         return filled
-
-    def _join_points(self, watched: Watched, placed: Placed) -> list[int]:
-        """Set the contacts of further points of a touching pair that approach, as those of `join`."""
-        i = next(iter(watched.points))
-        normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
-        velocity = watched.pair.relative_velocity(self._data)
-        every = touches(*placed, normal, self.tolerance)
-        found = [touch for touch in every if velocity(touch.point) @ normal < -self._work.resting_speed]
-        return self._add(watched, found, placed, normal) if found else []
 
     def _touching_along(
         self, watched: Watched, placed: Placed, normal: Array, within: float
