@@ -368,3 +368,78 @@ def test_box_pressed_by_far_more_than_its_weight_stays(press, weight):
     np.testing.assert_allclose(run.q[-1], q0, atol=1e-10)
     pressed = sum(run.forces(name, 0.5) for name in (c.label for c in run.contacts))
     np.testing.assert_allclose(pressed[2], press + weight * mass * G, rtol=1e-9)
+
+
+def several(pieces, contacts, gravity):
+    """Return a scene of free bodies by name, each with a shape, and their configuration."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    for name, (shape, _) in pieces.items():
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3.Identity(), shape))
+    unbounded(model)
+    if not gravity:
+        model.gravity = pin.Motion.Zero()
+    q0 = np.concatenate([pin.SE3ToXYZQUAT(place) for _, place in pieces.values()])
+    return Scene(model, contacts, geometry=shapes), q0
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "auto", "time-stepping"])
+@pytest.mark.parametrize("before", [0.0, 0.1])
+@pytest.mark.parametrize("floor", [False, True])
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("order", [("near", "far"), ("far", "near")])
+def test_cube_moves_past_another_that_it_touches_along_an_edge(order, mirrored, floor, before, scheme):
+    """A ball pushes it along their common plane, at the start or later; the other cube stays at rest."""
+    cube, side = coal.Box(0.2, 0.2, 0.2), -1.0 if mirrored else 1.0
+    pieces = {
+        "near": (cube, pin.SE3(np.eye(3), np.array([0.0, 0.2 * side, 0.1]))),
+        "far": (cube, pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.1]))),
+        "ball": (coal.Sphere(0.05), pin.SE3(np.eye(3), np.array([-0.15 - before, 0.2 * side, 0.1]))),
+    }
+    pairs = [order, ("ball", "near")]
+    contacts = [Contact(geometry=a, plane=Shape(b), friction=0.0, name=f"{a} {b}") for a, b in pairs]
+    if floor:
+        contacts += [Contact(geometry=name, plane=Plane(), friction=0.0) for name in ("near", "far")]
+    scene, q0 = several(pieces, contacts, gravity=floor)
+    v0 = np.zeros(18)
+    v0[12] = 2.0
+    run = simulate(scene, q0, v0, 0.15, scheme=scheme)
+    assert run.v[-1, :6] == pytest.approx([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], abs=0.02)
+    assert run.v[-1, 6:12] == pytest.approx(np.zeros(6), abs=1e-9)
+    assert run.q[-1, 7:14] == pytest.approx(q0[7:14], abs=1e-7)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "auto", "time-stepping"])
+@pytest.mark.parametrize("force", [(1.0, 0.0), (0.0, -1.0)])
+@pytest.mark.parametrize("order", [("near", "far"), ("far", "near")])
+def test_force_along_the_side_of_a_cube_moves_another_past_it(order, force, scheme):
+    cube = coal.Box(0.2, 0.2, 0.2)
+    places = {"near": (0.0, 0.2, 0.1), "far": (0.2, 0.0, 0.1)}
+    pieces = {name: (cube, pin.SE3(np.eye(3), np.array(place))) for name, place in places.items()}
+    scene, q0 = several(pieces, [Contact(geometry=order[0], plane=Shape(order[1]))], gravity=False)
+    tau = np.array([*force, *np.zeros(10)])
+    scene = dataclasses.replace(scene, control=lambda t, q, v: tau)
+    run = simulate(scene, q0, np.zeros(12), 0.2, scheme=scheme)
+    assert run.v[-1] == pytest.approx(0.2 * tau, abs=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "auto"])
+@pytest.mark.parametrize("order", ["ab", "ba"])
+def test_two_boards_that_lean_against_each_other_stay_at_rest(order, scheme):
+    """Their upper edges, which carry them, are in contact from the start, without an impact."""
+    turned = [pin.utils.rotate("y", angle) for angle in (0.2, -0.2)]
+    centers = [-turn @ np.array([x, 0.0, 0.15]) for turn, x in zip(turned, (0.01, -0.01), strict=True)]
+    low = min((turned[0] @ np.array([x, 0.0, -0.15]) + centers[0])[2] for x in (-0.01, 0.01))
+    pieces = {
+        name: (coal.Box(0.02, 0.2, 0.3), pin.SE3(turn, center))
+        for name, turn, center in zip("ab", turned, centers, strict=True)
+    }
+    contacts = [Contact(geometry=order[0], plane=Shape(order[1]), friction=0.6)]
+    contacts += [Contact(geometry=name, plane=Plane(point=(0, 0, low)), friction=0.6) for name in "ab"]
+    scene, q0 = several(pieces, contacts, gravity=True)
+    run = simulate(scene, q0, np.zeros(12), 0.2, scheme=scheme)
+    assert not run.impacts
+    assert run.q[-1] == pytest.approx(q0, abs=1e-8)
+    assert any(mode.source.startswith(f"{order[0]} on {order[1]}") for mode in run.modes)

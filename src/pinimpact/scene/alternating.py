@@ -286,6 +286,7 @@ class Alternating(TimeStepping):
             Integrator._settle_contacts(self)
             self.instant.correct_constraint_drift()
             self._begin_motion()
+            self._rest_on_edges()
         except IrregularMotionError as error:
             self._cross(error)
             return state.coarse

@@ -171,6 +171,7 @@ class Integrator:
         self.instant.settle(starting=True)
         self._trigger_events()
         self._begin_motion()
+        self._rest_on_edges()
         self.state.length = self.dynamics.first_length()
 
     def advance(self, until: float, report: Report | None = None, tau: Array | None = None) -> None:
@@ -271,6 +272,14 @@ class Integrator:
             self.instant.note("The contact forces are not unique; those of equally stiff contacts are used.")
         state.forces_unique = unique
         state.closed = ClosedSet.of(work, self.shapes.swapped())
+
+    def _rest_on_edges(self) -> None:
+        """Begin the motion anew if edges or corners that meet at rest carry a force. (theory.md, 15.3)"""
+        state, n = self.state, self.work.nv
+        if self.shapes:
+            meeting = self.shapes.rest(state.q, state.v, self.work.stage_rates[0, n : 2 * n])
+            if meeting:
+                self._settle_and_begin(meeting)
 
     def _step(self, h: float, stop: float, scale: float, begun: Outcome | None = None) -> float:
         """Take one accepted step, or its part up to the first event.

@@ -302,7 +302,7 @@ class ShapeWatch(TouchingPoints):
         if not watched.points:
             apart = gap(*placed)
             slack = max(self.tolerance, abs(apart.value))
-            points, normal = self._touching_along(watched, placed, apart.normal, slack)
+            points, normal, _ = self._touching_along(watched, placed, apart.normal, slack)
             return self._add(watched, points, placed, normal)
         if not meeting.leaving:
             i = self._guarding(watched)

@@ -18,6 +18,7 @@ from ..robot.contact import contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ._kernels.contact_forces import FREE
+from ._kernels.tolerances import START_ROUNDING
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState, Touching
 from .layout import SceneLayout
@@ -215,9 +216,40 @@ class TouchingPoints:
                     )
                 self._state.overlap = overlap
             if found.value <= rounding:
-                points, normal = self._touching_along(watched, placed, found.normal, rounding)
-                self._add(watched, points, placed, normal)
+                points, normal, apart = self._touching_along(watched, placed, found.normal, rounding)
+                if not apart:
+                    self._add(watched, points, placed, normal)
         self._omit_between()
+
+    def rest(self, q: Array, v: Array, acceleration: Array) -> list[int]:
+        """Set the contacts of edges and corners at rest that carry a force; return their numbers.
+
+        These are in contact if they approach each other by the accelerations without their contact.
+
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            acceleration: (nv,) its rate.
+        """
+        filled: list[int] = []
+        noise = self._work.rtol * self._dynamics.fastest(acceleration)
+        near = np.flatnonzero(self._apart.at(q) <= START_ROUNDING).tolist()
+        for watched in (self._watched(number) for number in near if number not in self._state.touching):
+            forward_kinematics(self._model, self._data, q, v)
+            placed = watched.pair.placed(self._data)
+            found = gap(*placed)
+            touching = touches(*placed, found.normal, START_ROUNDING)
+            points = np.array([touch.point for touch in touching]).reshape(-1, 3)
+            speeds = np.abs(watched.pair.relative_velocity(self._data)(points))
+            if not touching or found.value > START_ROUNDING or speeds.max() > self._work.resting_speed:
+                continue
+            forward_kinematics(self._model, self._data, q, acceleration)
+            _, apart = watched.pair.normal_of_contact(self._data, found.normal, points, noise)
+            if not apart:  # any normal that separates them lasts as long as they carry a force
+                filled += self._add(watched, touching, placed, found.normal)
+        if filled:
+            self._omit_between()
+        return self._filled(filled)
 
     def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
         """Return the least rate of a corner's height over the other shape along the normal [m/s]."""
@@ -253,18 +285,22 @@ class TouchingPoints:
                 )
             if found.value <= within:
                 near = max(within, abs(found.value))
-                points, normal = self._touching_along(watched, placed, found.normal, near)
-                filled += self._add(watched, points, placed, normal)
+                points, normal, apart = self._touching_along(watched, placed, found.normal, near)
+                if not apart:
+                    filled += self._add(watched, points, placed, normal)
         self._omit_between()
-        return [i for i in filled if self._dynamics.contacts[i] is not self._open[i]]
+        return self._filled(filled)
+
+    def _filled(self, numbers: list[int]) -> list[int]:
+        """Return those of the contacts that represent a point."""
+        return [i for i in numbers if self._dynamics.contacts[i] is not self._open[i]]
 
     def join(self, q: Array, v: Array, arriving: Integers) -> list[int]:
         """Set the contacts that collide together with those that arrive; return their numbers.
 
-        Points that touch at the same instant collide together, as when a plank falls flat onto two blocks. Of
-        points on an edge that turns about its end, gaps are in proportion to gap rates: they touch together
-        if the times in which they close do not differ by more than that in which those that arrive cover the
-        tolerance.
+        Points that touch at the same instant collide together, as when a plank falls flat onto two blocks. On
+        an edge that turns about its end, gaps are in proportion to rates: points touch together if they close
+        within the time in which those that arrive cover the tolerance.
 
         Args:
             q: (nq,) configuration.
@@ -273,13 +309,13 @@ class TouchingPoints:
         """
         most = self.tolerance * MOST_TOGETHER
         near = np.flatnonzero(self._apart.at(q) <= most).tolist()
-        filled: list[int] = []
         if not near:
-            return filled
+            return []
         approach = -self._dynamics.gaps_at(q, v)[arriving, 1]
         approach = approach[approach > self._work.resting_speed]
         soon = self.tolerance / float(approach.min()) if approach.size else 0.0
         forward_kinematics(self._model, self._data, q, v)
+        filled: list[int] = []
         for watched in map(self._watched, near):
             placed, fresh = watched.pair.placed(self._data), not watched.points
             if fresh:
@@ -287,20 +323,19 @@ class TouchingPoints:
                 within = min(max(self.tolerance, soon * -self._fastest(watched, placed, found.normal)), most)
                 if found.value > within:
                     continue
-                every, normal = self._touching_along(watched, placed, found.normal, max(within, -found.value))
+                within = max(within, -found.value)
+                every, normal, apart = self._touching_along(watched, placed, found.normal, within)
+                if apart or self._fastest(watched, placed, normal) >= 0.0:
+                    continue
             else:
                 normal = next(self._located(watched)).normal
                 every = touches(*placed, normal, most)
-            velocity, radius = watched.pair.relative_velocity(self._data), watched.radius
-            joining, met = [], []
+            joining, velocity = [], watched.pair.relative_velocity(self._data)
             for touch in every:
                 rate = float(velocity(touch.point) @ normal)
-                height = float((touch.point - touch.other) @ normal) - radius
-                if rate < (0.0 if fresh else -self._work.resting_speed):
-                    joining += [touch] if height <= min(max(self.tolerance, -soon * rate), most) else []
-                elif fresh and height <= self.tolerance:
-                    met.append(touch)
-            joining += met if joining else []
+                height = float((touch.point - touch.other) @ normal) - watched.radius
+                if height <= min(max(self.tolerance, -soon * rate), most):
+                    joining += [touch] if fresh or rate < -self._work.resting_speed else []
             filled += self._add(watched, joining, placed, normal)
         if filled:
             self._omit_between()
@@ -308,17 +343,18 @@ class TouchingPoints:
 
     def _touching_along(
         self, watched: Watched, placed: Placed, normal: Array, within: float
-    ) -> tuple[list[Touch], Array]:
-        """Return the points of contact of two shapes, and their normal, see `ShapePair.normal_of_contact`.
+    ) -> tuple[list[Touch], Array, bool]:
+        """Return the points of contact of two shapes, and the results of `ShapePair.normal_of_contact`.
 
         The velocities are those of `_data`; other arguments as in `touches`.
         """
         found = touches(*placed, normal, within)
         if not found:
-            return found, normal
+            return found, normal, False
         points = np.array([touch.point for touch in found])
-        along, _ = watched.pair.normal_of_contact(self._data, normal, points, self._work.resting_speed)
-        return found if along is normal else touches(*placed, along, within) or found, along
+        slow = self._work.resting_speed
+        along, apart = watched.pair.normal_of_contact(self._data, normal, points, slow)
+        return found if along is normal else touches(*placed, along, within) or found, along, apart
 
     def refresh(self, q: Array) -> None:
         """Update the contacts of touching pairs that impacts use to a configuration."""
