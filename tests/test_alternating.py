@@ -6,6 +6,7 @@ import itertools
 import math
 import pickle
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import coal
@@ -196,8 +197,8 @@ def test_report_lists_stepped_intervals(chattered):
 
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 def test_user_event_in_the_step_before_time_steps_happens_once():
-    """17 points arrive together, which the event-driven scheme refuses, in the step that has the event."""
-    model, count = pin.Model(), 17
+    """41 points arrive together, which the event-driven scheme refuses, in the step that has the event."""
+    model, count = pin.Model(), 41
     for k in range(count):
         joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), f"{k}")
         model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
@@ -206,7 +207,7 @@ def test_user_event_in_the_step_before_time_steps_happens_once():
     event = Event(lambda t, q, v: q[0] - 0.001, name="near")
     scene = Scene(model, [Contact(f"{k}", FLOOR) for k in range(count)], events=[event])
     trajectory = simulate(scene, np.full(count, 0.1), np.zeros(count), 0.2)
-    assert "17 contacts" in trajectory.stepped[0].reason
+    assert "41 contacts" in trajectory.stepped[0].reason
     assert [one.time for one in trajectory.events] == [pytest.approx(math.sqrt(0.198 / 9.81), abs=1e-9)]
 
 
@@ -352,20 +353,43 @@ def test_struck_stack_agrees_with_short_time_steps():
 
 
 def test_many_separate_boxes_are_stepped_and_come_to_rest():
-    """Eight boxes fall flat from different heights: too many islands for the event-driven scheme."""
-    count, fall = 8, np.linspace(0.02, 0.1, 8)
+    """Twelve boxes fall flat from different heights: too many contacts for the event-driven scheme."""
+    count, fall = 12, np.linspace(0.02, 0.1, 12)
     q0 = np.tile([0, 0, 0, *UP], count)
     q0[0::7], q0[2::7] = 0.5 * np.arange(count), 0.05 + fall
     run = simulate_auto(boxes(count, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(6 * count), 0.6)
-    assert run.stepped[0].reason.endswith("contacts of many bodies are active at once")
-    # until the sixth box lands, events are located
-    assert run.stepped[0].start == pytest.approx(math.sqrt(2.0 * fall[5] / 9.81), abs=1e-9)
+    assert run.stepped[-1].reason == "scene: 44 contacts are active at once"
+    # ten boxes stand when the eleventh lands
+    assert run.stepped[-1].start == pytest.approx(math.sqrt(2.0 * fall[10] / 9.81), abs=1e-9)
+    assert run.stepped[-1].end == 0.6
     rest = q0.copy()
     rest[2::7] = 0.05
     assert np.abs(run.q[-1] - rest).max() < 1e-8
     assert np.abs(run.v[-1]).max() < 1e-6
     assert np.abs(run.energy.residual).max() < 1e-6
     assert run.forces("floor 7 corner 1", 0.6)[2] == pytest.approx(9.81 / 4.0, rel=1e-6)
+
+
+def test_wall_is_stepped_from_the_start():
+    """Ten bricks in running bond are one island with 60 contacts."""
+    courses = (3, 2, 3, 2)
+    places = [(k + 0.5 * (row % 2), row) for row, count in enumerate(courses) for k in range(count)]
+    q0 = np.hstack([[0.2 * x, 0.0, 0.06 * (row + 0.5), *UP] for x, row in places])
+    scene = boxes(10, (0.2, 0.1, 0.06), 0.1)
+    pairs = [
+        Contact(geometry=f"box_{j}_0", plane=Shape(f"box_{i}_0"), friction=0.5, name=f"{i} under {j}")
+        for (i, (x, row)), (j, (above, upper)) in itertools.combinations(enumerate(places), 2)
+        if abs(above - x) < 1.0 and upper == row + 1
+    ]
+    floor = [contact for contact in scene.contacts if "floor" in contact.label]
+    run = simulate_auto(replace(scene, contacts=[*floor, *pairs]), q0, np.zeros(60), 0.5)
+    (stepped,) = run.stepped
+    assert (stepped.start, stepped.end) == (0.0, 0.5)
+    assert stepped.reason == "scene: 60 contacts are active at once"
+    assert np.abs(run.q[-1] - q0).max() < 1e-9
+    assert sum(run.forces(f"floor {i} corner {k}", 0.5)[2] for i in range(3) for k in (1, 2, 3, 4)) == (
+        pytest.approx(10 * 0.1 * 9.81, rel=1e-9)
+    )
 
 
 def test_separate_boxes_at_rest_need_no_time_steps():
@@ -411,31 +435,37 @@ def test_stepped_interval_may_start_with_an_impact():
 
 
 @pytest.mark.parametrize(
-    ("contacts", "velocities", "part", "ending", "takes_over"),
+    ("contacts", "count", "length", "ending", "takes_over"),
     [
-        (12, 60, 0.15, 0.2, True),  # 12² · 60 / 54000 = 0.16
-        (12, 60, 0.17, 0.2, False),
-        (12, 60, 0.15, 0.05, False),  # a control makes steps short
-        (40, 60, 0.99, 0.2, True),
-        (40, 60, 1.01, 0.2, False),
-        (4, 18, 0.05, 1.0, False),  # cheap steps
+        (8, 50, 0.50, 0.2, True),  # in time steps: (8/10)³ = 0.51
+        (8, 50, 0.52, 0.2, False),
+        (8, 50, 0.50, 0.05, False),  # a control makes steps short
+        (8, 49, 0.50, 0.2, False),
+        (8, 10, 0.0050, 0.2, True),  # a hundred times as short
+        (8, 10, 0.0052, 0.2, False),
+        (8, 9, 0.0050, 0.2, False),
+        (20, 6, 7.9, 0.2, True),  # six of them cost 48 time steps
+        (20, 6, 8.1, 0.2, False),
+        (20, 5, 7.9, 0.2, False),
+        (38, 1, 54.0, 1.0, True),
+        (38, 1, 55.0, 1.0, False),
+        (4, 200, 0.05, 1.0, False),  # cheap steps
+        (4, 200, 0.009, 1.0, True),  # events accumulate
     ],
 )
-def test_time_steps_take_over_where_event_driven_steps_cost_more(
-    contacts, velocities, part, ending, takes_over
-):
-    dt, h = 1e-3, 1e-3 * part
-    lengths = np.where(np.arange(50) < 50 * ending, 2.0, 1.0) * h  # those that events end are cut by half
+def test_time_steps_take_over_where_event_driven_steps_cost_more(contacts, count, length, ending, takes_over):
+    dt, h = 1e-3, 1e-3 * length
+    lengths = (
+        np.where(np.arange(count) < count * ending, 2.0, 1.0) * h
+    )  # those that events end are cut by half
     steps = [SimpleNamespace(start=k * h, end=(k + 1) * h, h=length) for k, length in enumerate(lengths)]
     record = SimpleNamespace(dense_steps=steps)
     motion = SimpleNamespace(
-        **{"work": SimpleNamespace(active_contacts=contacts), "model": SimpleNamespace(nv=velocities)},
-        **{"record": record, "instant": SimpleNamespace(record=record), "_longest": dt},
-        state=SimpleNamespace(events_since=0),
-        rims=(),
+        **{"work": SimpleNamespace(active_contacts=contacts), "record": record, "_longest": dt},
+        **{"instant": SimpleNamespace(record=record), "state": SimpleNamespace(events_since=0), "rims": ()},
     )
     if takes_over:
-        with pytest.raises(IrregularMotionError, match=f"50 steps cover .* active contacts: {contacts}"):
+        with pytest.raises(IrregularMotionError, match=f"{count} steps cover .* active contacts: {contacts}"):
             Alternating._watch_events(motion)
     else:
         Alternating._watch_events(motion)

@@ -17,7 +17,7 @@ import pytest
 from pinimpact._numeric import coulomb_problem
 from pinimpact.contact_space import jam_growth
 from pinimpact.contact_space._kernels import tolerances as many
-from pinimpact.scene import crowds, instant, integrator, progress, scene_impacts
+from pinimpact.scene import alternating, crowds, instant, integrator, progress, scene_impacts
 from pinimpact.scene._kernels import contact_modes, slip, tolerances
 from tools import pages
 
@@ -135,9 +135,12 @@ NUMBERS = [
     (tolerances.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (tolerances.STEPS_GAIN, 1e-4, "add more than $10^{-4}$ of the kinetic energy of $v$"),
-    (crowds.CROWD, 16, "more than 16 contacts of more than five islands touch"),
+    (crowds.CROWD, 16, "an impact has more than 16 contacts and waves"),
+    (crowds.MANY, 40, "more than 40 contacts are active"),
+    (crowds.AS_CHEAP, 10.0, "as long as $(n/10)^3$ time steps"),
+    (alternating.LOOKED_AT, 50, "as cost 50 time steps"),
+    (alternating.CHEAP, 0.1, "below a tenth of a time step"),
     (crowds.FEW, 8, "is used for at most 8 contacts and not for impacts without collision"),
-    (crowds.ISLANDS, 5, "of more than five islands touch"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (many.NUDGE, 2.0**-26, r"\max\bigl(2^{-26}\,|v_t|"),
     (many.LEAST_NUDGE, 0.1 * 2.0**-26, r"\tfrac1{10}2^{-26}\max|v_t|"),

@@ -17,7 +17,7 @@ import pytest
 from pinimpact import Boundary, Box, Contact, Plane, Scene, Shape, SteppedWarning, simulate
 from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import box
-from pinimpact.scene import instant, scene_impacts
+from pinimpact.scene import scene_impacts
 
 from .drawing import one_of_each
 from .scene_models import UP, G, unbounded
@@ -243,7 +243,6 @@ def test_impact_whose_waves_are_not_followed_is_that_of_newtons_law(friction, sc
     monkeypatch.setattr(scene_impacts, "BRIEF", 0)
     monkeypatch.setattr(scene_impacts, "FEW", 3)
     monkeypatch.setattr(scene_impacts, "CROWD", 3)
-    monkeypatch.setattr(instant, "CROWD", 3)
     model, e, height, dt = pin.Model(), 0.6, 0.1, 1e-3
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0, 0.2, 0.3, 0.1), pin.SE3.Identity())

@@ -15,6 +15,7 @@ from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
 from ._kernels.lie_charts import magnitudes
 from ._kernels.tolerances import FIRST_STEP
+from .crowds import cost_of_step
 from .effects import CROWD
 from .event_watch import EventWatch
 from .hybrid_state import HybridState
@@ -46,11 +47,11 @@ ACCUMULATING, BRIEF, RARE = 200, 0.01, 0.05
 end at events. If fewer do, but this part at least, the time per event is what counts: after each event, stiff
 joints may take many steps to settle."""
 
-EARLY, LOOKED_AT, COSTLY, SOME = 10, 50, 5.4e4, 0.1
-"""Time steps take over if `LOOKED_AT` steps are on average shorter than `dt` times n² nv / `COSTLY`, or than
-`dt`, and `SOME` of them end at events; `EARLY` ones if they are shorter by `BRIEF`. An event-driven step
-takes a time in proportion to n² nv, with n active contacts and nv velocities; with 30 contacts of 10 free
-bodies it takes that of a time step."""
+EARLY, LOOKED_AT, SOME, CHEAP = 10, 50, 0.1, 0.1
+"""Time steps take over if event-driven steps cover less time than time steps `dt` would at the same cost, see
+`cost_of_step`, and `SOME` of them end at events. As many steps are looked at as cost `LOOKED_AT` time steps,
+at most that number; `EARLY` ones if they cover less by the factor `BRIEF`. Where a step costs less than
+`CHEAP` time steps, as with four contacts, only the accumulation of events counts."""
 
 
 class Alternating(TimeStepping):
@@ -146,24 +147,21 @@ class Alternating(TimeStepping):
         """Check that event-driven steps are not much more expensive than time steps.
 
         Raises:
-            IrregularMotionError: Events accumulate, or many contacts are active and steps shorter than `dt`.
+            IrregularMotionError: Events accumulate, or many contacts are active and steps are short for it.
         """
-        steps, taken = self.record.dense_steps, len(self.record.dense_steps) - self.state.events_since
-        seen = min(taken, LOOKED_AT)
-        if taken < EARLY or steps[-1].end - steps[-seen].start >= seen * self._longest:  # regular steps
-            return
-        active = self.work.active_contacts
-        part = min(active**2 * self.model.nv / COSTLY, 1.0)
-        costly = part > BRIEF
-        rules = (
-            ((EARLY, BRIEF * part, SOME), (LOOKED_AT, part, SOME))
-            if costly
-            else ((ACCUMULATING, BRIEF, RARE),)
-        )
+        steps, active = self.record.dense_steps, self.work.active_contacts
+        taken, cost = len(steps) - self.state.events_since, cost_of_step(active)
+        costly = cost > CHEAP
+        rules = [(ACCUMULATING, BRIEF, RARE)]
+        if costly:
+            enough = max(min(LOOKED_AT, int(LOOKED_AT / cost)), 1)
+            rules = [(enough, cost, SOME), (EARLY, BRIEF * cost, SOME)]
         for count, share, least in rules:
             if taken < count:
                 continue
             covered = steps[-1].end - steps[-count].start
+            if covered >= share * count * self._longest:  # regular steps
+                continue
             # the lowest point of a nearly flat rim runs around it, which nothing damps
             events = count if self.rims and self.rims.active() else ended(self.instant, count)
             most = share * (count if costly else min(count, events / BY_EVENTS)) * self._longest

@@ -21,7 +21,7 @@ from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
 from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING
-from .crowds import AT_REST, CROWD, CrowdError
+from .crowds import CrowdError
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
@@ -161,8 +161,7 @@ class Instant:
             if self.rims and self.rims.lie_down(where):
                 continue
             if self.impacts.refuses and not resolved:
-                touching = np.flatnonzero(where[: work.contacts] != APART)
-                self.impacts.refuse_crowd(touching, AT_REST if starting and i < 0 else CROWD)
+                self.impacts.refuse_crowd(int((where[: work.contacts] != APART).sum()))
             if i >= 0:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
