@@ -1,4 +1,4 @@
-"""Limits of impacts at many contacts, beyond which they are part of time steps. (theory.md, 16)"""
+"""Limits beyond which impacts and motion at many contacts are left to time steps. (theory.md, 16)"""
 
 from __future__ import annotations
 
