@@ -38,7 +38,7 @@ SWITCHABLE = (
 """Effects that can be switched off by name."""
 
 CROWD = 30
-"""Number of contacts above which a plan names `scheme="auto"`, and intervals of time steps have full steps."""
+"""Number of contacts above which a plan names `scheme="auto"`, and time steps of intervals are full."""
 
 DERIVED = ("normal-tangential coupling", "spatial slip", "simultaneous impacts")
 """Effects that each impact decides from its own W and v; they cannot be switched off."""
