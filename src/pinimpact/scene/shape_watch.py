@@ -23,7 +23,8 @@ from ..geometry.touch_time import Advance, Front, PairState, advance, first_touc
 from ..robot.forest import forward_kinematics, joint_jacobian
 from .dense_step import DenseStep
 from .event_watch import crossing
-from .touching_points import Located, Placed, TouchingPoints, Watched, between_others
+from .touching_points import Placed, TouchingPoints
+from .watched_pair import Located, Watched, between_others
 
 THIRDS = 8
 """Number of intervals of a step from which the third rates of corner heights are estimated."""
