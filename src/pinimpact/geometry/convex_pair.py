@@ -306,7 +306,9 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
             length = float(np.linalg.norm(u) + np.linalg.norm(w))
             return Followed(touch._replace(point=middle, other=foot), normal, length)
         s, r, (p, q) = _crossing(a, i, b, j, 0.0)
-        turned = across / math.copysign(float(np.linalg.norm(across)), float(across @ normal))
+        turned = between_faces(touch, a, b, normal)
+        if turned is None:
+            turned = across / math.copysign(float(np.linalg.norm(across)), float(across @ normal))
         return Followed(touch._replace(point=p, other=q), turned, max(_beyond(s, u), _beyond(r, w)))
     p = a.vertices[i]
     q, beyond = _foot_on_edge(p, b, j) if touch.kind == "vertex-edge" else (b.vertices[j], -math.inf)
@@ -314,6 +316,21 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
     length = float(np.linalg.norm(between))
     turned = between / length if length > coincidence(a.shape, b.shape) else normal
     return Followed(touch._replace(point=p, other=q), turned, beyond)
+
+
+def between_faces(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Array | None:
+    """Return the normal (3,) of B's face for a crossing of edges of two faces in one plane, else None.
+
+    That of the edges has the error of the faces' directions, divided by the angle between the edges. (15.3)
+    """
+    if touch.kind != "edge-edge" or a.shape.radius + b.shape.radius > 0.0:
+        return None
+    i, j = int((a.normals @ normal).argmin()), int((b.normals @ normal).argmax())
+    if np.abs(a.normals[i] + b.normals[j]).max() > COINCIDE:
+        return None
+    edges = ((a.shape, touch.features[0], i), (b.shape, touch.features[1], j))
+    lie = all(np.isin(shape.edges[edge], shape.faces[face]).all() for shape, edge, face in edges)
+    return b.normals[j] if lie else None
 
 
 def _beyond(part: float, along: Array) -> float:

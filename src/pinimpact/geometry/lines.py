@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._kernels.constants import EDGE, LINE
+from ._kernels.constants import EDGE, FACING, LINE
 from .surfaces import Surface, Vector
 
 
@@ -38,3 +38,9 @@ class Edge(Line):
     """A line as a surface for another line: the tip's `axis` is its direction u; u × line points along n."""
 
     code: ClassVar[int] = EDGE
+
+
+class FacingEdge(Edge):
+    """An edge of a face for one of a face in the same plane: n is the normal of the face."""
+
+    code: ClassVar[int] = FACING

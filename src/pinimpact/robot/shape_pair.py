@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..checks import finite_array, with_valid
 from ..errors import InputError
-from ..geometry._kernels.constants import EDGE, LINE, PLANE, TIP_PLANE
-from ..geometry.convex_pair import CODES, Gap, Touch, at_one_place, gap, touches
+from ..geometry._kernels.constants import EDGE, FACING, LINE, PLANE, TIP_PLANE
+from ..geometry.convex_pair import CODES, Gap, Touch, at_one_place, between_faces, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
-from ..geometry.lines import Edge, Line
+from ..geometry.lines import Edge, FacingEdge, Line
 from ..geometry.meeting_edges import last_separated, normal_of_meeting
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
@@ -161,10 +161,12 @@ def point_contact(
     normal: Array,
     touch: Touch,
     basis: Contact,
+    facing: bool = False,
 ) -> PointContact:
     """Return the contacts of a contact point of two shapes, at the configuration of `data`.
 
     The shapes are `placed` there, with a normal (3,) from B to A; the basis has coefficients and name.
+    `facing` is whether faces may stay in one plane where two of their edges cross.
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     instant = one.tip(touch.point, other.plane(touch.other, normal))
@@ -179,7 +181,8 @@ def point_contact(
         return PointContact(touch, instant, instant, False)
     if kind not in ("vertex-face", "edge-edge") and one.radius + other.radius == 0.0:
         return PointContact(touch, instant, None, False)
-    lasting = _of_features(CODES[kind], one, other, (p, q), normal, seen.edges(*placed))
+    facing = facing and between_faces(touch, placed[0], placed[1], normal) is not None
+    lasting = _of_features(FACING if facing else CODES[kind], one, other, (p, q), normal, seen.edges(*placed))
     return PointContact(touch, instant, lasting, swapped)
 
 
@@ -211,8 +214,11 @@ def _of_features(
     if kind == PLANE:
         return one.tip(p, other.plane(q, normal))
     u, w = edges
-    if kind == EDGE:
-        edge = Edge(**other.line(q, w if cross(u, w) @ normal > 0.0 else -w, normal))
+    if kind in (EDGE, FACING):
+        u, w = u - (u @ normal) * normal, w - (w @ normal) * normal
+        edge = (FacingEdge if kind == FACING else Edge)(
+            **other.line(q, w if cross(u, w) @ normal > 0.0 else -w, normal)
+        )
         return replace(one.tip(p, edge), axis=one.turn(u / np.linalg.norm(u)))
     if kind == LINE:
         return one.tip(p, Line(**other.line(q, w, normal)))

@@ -150,8 +150,7 @@ class Instant:
                 where[self.shapes.join(self.state.q, self.state.v, where.nonzero()[0])] = ARRIVING
             where[self.shapes.between()] = APART
             self.shapes.refresh(self.state.q)
-        self._hit[:] = False
-        self.impacts.unresolved, self.impacts.in_steps = 0.0, False
+        self._hit[:], self.impacts.unresolved, self.impacts.in_steps = False, 0.0, False
         resolved: list[dict[str, Any]] = []
         tried, jams = np.zeros(len(where), dtype=bool), 0
         while True:
@@ -167,6 +166,7 @@ class Instant:
                 resolved += self._strike(i, -rate, resolved)
                 continue
             before = self.state.v
+            self.shapes.let_tip()
             jammed, found = self._set_modes(slow)
             if found:
                 tried |= slow != 0

@@ -11,8 +11,10 @@ import pinocchio as pin
 
 from ..arrays import Array, Integers
 from ..errors import InputError, IrregularMotionError
-from ..geometry.convex_pair import Touch, follow, gap, touches
+from ..geometry.convex_pair import Touch, between_faces, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape
+from ..geometry.lines import FacingEdge
+from ..geometry.tolerances import LOCAL
 from ..robot.contact import contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
@@ -138,12 +140,7 @@ class TouchingPoints:
     def rest(self, q: Array, v: Array, acceleration: Array) -> list[int]:
         """Set the contacts of edges and corners at rest that carry a force; return their numbers.
 
-        These are in contact if they approach each other by the accelerations without their contact.
-
-        Args:
-            q: (nq,) configuration.
-            v: (nv,) velocity.
-            acceleration: (nv,) its rate.
+        These are in contact if they approach each other by the acceleration (nv,) without their contact.
         """
         filled: list[int] = []
         noise = self._work.rtol * self._dynamics.fastest(acceleration)
@@ -285,8 +282,10 @@ class TouchingPoints:
                     self._dynamics.contacts[i] = instant
             watched.update(points=points, normals=normals)
 
-    def _point(self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
-        return point_contact(watched.pair, self._data, placed, normal, touch, self._open[i])
+    def _point(
+        self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array, facing: bool = True
+    ) -> PointContact:
+        return point_contact(watched.pair, self._data, placed, normal, touch, self._open[i], facing)
 
     # ---- points in contact
 
@@ -302,7 +301,9 @@ class TouchingPoints:
                 value=watched.label,
             )
         for i, touch in zip(free, fresh, strict=False):
-            self._assign(watched, i, self._point(watched, i, placed, touch, normal), normal)
+            face = between_faces(touch, *placed, normal)
+            along = normal if face is None else face
+            self._assign(watched, i, self._point(watched, i, placed, touch, along), along)
         if fresh:
             watched.update(flush=NOTHING.flush)
         return free[: len(fresh)]
@@ -403,6 +404,28 @@ class TouchingPoints:
                 for watched in self._touching():
                     for i in watched.points.keys() & opening:
                         self._remove(watched, i)
+        self.let_tip()
+
+    def let_tip(self) -> None:
+        """Give crossings of edges their own normal if the points of their pair do not span a face. (15.3)"""
+        if self._state.touching:
+            forward_kinematics(self._model, self._data, self._state.q, self._state.v)
+        for watched in self._touching():
+            flat = [
+                i for i, p in watched.acting.items() if p.lasting and isinstance(p.lasting.plane, FacingEdge)
+            ]
+            if not flat:
+                continue
+            placed = watched.pair.placed(self._data)
+            now = {one.number: one for one in self._located(watched)}
+            points = np.array([now[i].touch.point for i in watched.acting])
+            rates = watched.pair.relative_velocity(self._data)(points) @ now[flat[0]].normal
+            spans = np.linalg.matrix_rank(points - points[0], LOCAL * watched.size) > 1
+            if spans and np.ptp(rates) <= self._work.resting_speed:
+                continue
+            for i in flat:
+                touch, normal = now[i].touch, now[i].normal
+                self._assign(watched, i, self._point(watched, i, placed, touch, normal, False), normal)
 
     def swapped(self) -> Integers:
         """Return the contacts whose forces act on the second shape of their pair."""

@@ -16,10 +16,10 @@ TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, LINE_AXIS, 
     *(24, 25, 28, 31),
 )
 
-PLANE, SPHERE, LINE, EDGE, TIP_PLANE = range(5)
-"""The codes of kinds: a line is for points and spheres, an edge for edges, both with a radius. With the last
+PLANE, SPHERE, LINE, EDGE, TIP_PLANE, FACING = range(6)
+"""The codes of kinds: a line is for points and spheres, an edge for edges, both with a radius. With the next
 the tip is a plane, whose inward normal stands in place of the rim's axis, and the surface a sphere about its
-point."""
+point. The last is an edge for edges, with the normal of a plane: both bound faces in that plane."""
 
 SOLID = -1
 """Code of surfaces that kernels do not support."""

@@ -263,6 +263,9 @@ def rates_at_contact(R, V, S, U, k, at):
     along = 0.0
     if k[layout.KIND] == layout.EDGE:
         l1, l2, l3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
+    elif k[layout.KIND] == layout.FACING:
+        along = _along_edge(R, S, k, a1, a2, a3, l1, l2, l3)
+        l1 = l2 = l3 = 0.0
     else:
         l1, l2, l3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
     # the normal turns with the carrier and with the motion of the centre along the surface
@@ -274,7 +277,7 @@ def rates_at_contact(R, V, S, U, k, at):
     if k[layout.RIM] > 0.0:
         a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
         p1, p2, p3 = p1 + a1, p2 + a2, p3 + a3
-    if k[layout.KIND] == layout.EDGE:
+    if k[layout.KIND] == layout.EDGE or k[layout.KIND] == layout.FACING:
         a1, a2, a3 = direction(R, k, layout.RIM_AXIS)
         p1, p2, p3 = p1 + along * a1, p2 + along * a2, p3 + along * a3
     return l1, l2, l3, m1, m2, m3, p1, p2, p3
@@ -307,6 +310,14 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
     b1, b2, b3 = cross(n1, n2, n3, e1, e2, e3)
     f = a1 * x1 + a2 * x2 + a3 * x3 + b1 * v1 + b2 * v2 + b3 * v3
     return m1, m2, m3, -f / (b1 * u1 + b2 * u2 + b3 * u3)
+
+
+@inlined
+def _along_edge(R, S, k, v1, v2, v3, n1, n2, n3):
+    """Return the speed of the crossing on the tip's edge, −(n × e)·v/(n × e)·u, for a fixed normal."""
+    u1, u2, u3 = contact_kinematics.edge_axis(R, S, k)
+    b1, b2, b3 = cross(n1, n2, n3, k[layout.LINE_AXIS], k[layout.LINE_AXIS + 1], k[layout.LINE_AXIS + 2])
+    return -(b1 * v1 + b2 * v2 + b3 * v3) / (b1 * u1 + b2 * u2 + b3 * u3)
 
 
 @inlined
