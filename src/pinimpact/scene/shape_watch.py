@@ -278,21 +278,25 @@ class ShapeWatch(TouchingPoints):
             group += [self._watched(p) for p in numbers if p in near and p not in self._state.touching]
             if len(group) < 2:
                 continue
-            self._set(later)
+            self._set(q)
             known = [one for watched in group for one in self._located(watched)]
-            further: list[Located] = []
+            self._set(later)
+            fresh: list[tuple[Watched, Touch, Array]] = []
             for watched in group:
                 same = watched.pair.a.joint == known[0].watched.pair.a.joint
                 normal = known[0].normal if same else -known[0].normal
                 placed = watched.pair.placed(self._data)
                 every = touches(*placed, normal, self._slack(watched, placed))
-                fresh = self._fresh(watched, [one for one in every if one.kind in LASTING], placed, normal)
-                further += [Located(watched, -1, touch, normal) for touch in fresh]
+                lasting = [one for one in every if one.kind in LASTING]
+                fresh += [(watched, one, normal) for one in self._fresh(watched, lasting, placed, normal)]
             self._set(q)
-            for one in between_others(group, further + known) if further else ():
-                now = follow(one.touch, *one.watched.pair.placed(self._data), one.normal)
-                if one.number < 0 and now.beyond <= self.tolerance:
-                    found.append(one._replace(touch=now.touch, normal=now.normal))
+            further: list[Located] = []
+            for watched, touch, normal in fresh:
+                now = follow(touch, *watched.pair.placed(self._data), normal)
+                if now.beyond <= self.tolerance:
+                    further.append(Located(watched, -1, now.touch, now.normal))
+            if further:
+                found += [one for one in between_others(group, further + known) if one.number < 0]
         return found
 
     def _meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
