@@ -404,16 +404,18 @@ def test_separate_boxes_at_rest_need_no_time_steps():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("duration", [0.165, pytest.param(0.18, marks=pytest.mark.exhaustive)])
-def test_unresolved_impacts_of_a_pile_are_stepped(duration):
+def test_unresolved_impacts_of_a_pile_are_stepped():
     # with "auto", impacts (e = 0) whose propagation does not converge are not replaced by a plastic impact
-    rng = np.random.default_rng(5)
-    q0 = np.tile([0, 0, 0, *UP], 10)
-    for k in range(10):
-        q0[7 * k : 7 * k + 3] = *rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k
-    run = simulate_auto(boxes(10, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(60), duration)
-    assert any("not resolved" in one.reason for one in run.stepped)
-    assert not any("plastic" in note.text for note in run.notes)
+    reasons = []
+    for seed in range(5, 11):  # the motions are chaotic, and other reasons may come first
+        rng = np.random.default_rng(seed)
+        q0 = np.tile([0, 0, 0, *UP], 10)
+        for k in range(10):
+            q0[7 * k : 7 * k + 3] = *rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k
+        run = simulate_auto(boxes(10, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(60), 0.2)
+        reasons += [one.reason for one in run.stepped]
+        assert not any("plastic" in note.text for note in run.notes)
+    assert any("not resolved" in reason for reason in reasons)
 
 
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning", "ignore::pinimpact.BoundReachedWarning")
@@ -441,9 +443,10 @@ def test_stepped_interval_may_start_with_an_impact():
         (8, 50, 0.52, 0.2, False),
         (8, 50, 0.50, 0.05, False),  # a control makes steps short
         (8, 49, 0.50, 0.2, False),
-        (8, 10, 0.0050, 0.2, True),  # a hundred times as short
-        (8, 10, 0.0052, 0.2, False),
-        (8, 9, 0.0050, 0.2, False),
+        (10, 10, 0.0098, 0.2, True),  # a hundred times as short
+        (10, 10, 0.0102, 0.2, False),
+        (10, 9, 0.0098, 0.2, False),
+        (9, 10, 0.0050, 0.2, False),  # cheaper than a time step
         (20, 6, 7.9, 0.2, True),  # six of them cost 48 time steps
         (20, 6, 8.1, 0.2, False),
         (20, 5, 7.9, 0.2, False),

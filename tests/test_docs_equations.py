@@ -136,7 +136,7 @@ NUMBERS = [
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (tolerances.STEPS_GAIN, 1e-4, "add more than $10^{-4}$ of the kinetic energy of $v$"),
     (crowds.CROWD, 16, "an impact has more than 16 contacts and waves"),
-    (crowds.MANY, 40, "more than 40 contacts are active"),
+    (crowds.MANY, 40, "more than 40 contacts of several robots are active"),
     (crowds.AS_CHEAP, 10.0, "as long as $(n/10)^3$ time steps"),
     (alternating.LOOKED_AT, 50, "as cost 50 time steps"),
     (alternating.CHEAP, 0.1, "below a tenth of a time step"),

@@ -50,8 +50,9 @@ joints may take many steps to settle."""
 EARLY, LOOKED_AT, SOME, CHEAP = 10, 50, 0.1, 0.1
 """Time steps take over if event-driven steps cover less time than time steps `dt` would at the same cost, see
 `cost_of_step`, and `SOME` of them end at events. As many steps are looked at as cost `LOOKED_AT` time steps,
-at most that number; `EARLY` ones if they cover less by the factor `BRIEF`. Where a step costs less than
-`CHEAP` time steps, as with four contacts, only the accumulation of events counts."""
+at most that number; `EARLY` ones if they cover less by the factor `BRIEF` and cost no less than time steps.
+Where a step costs less than `CHEAP` time steps, as with four contacts, only the accumulation of events
+counts."""
 
 
 class Alternating(TimeStepping):
@@ -155,7 +156,7 @@ class Alternating(TimeStepping):
         rules = [(ACCUMULATING, BRIEF, RARE)]
         if costly:
             enough = max(min(LOOKED_AT, int(LOOKED_AT / cost)), 1)
-            rules = [(enough, cost, SOME), (EARLY, BRIEF * cost, SOME)]
+            rules = [(enough, cost, SOME), *[(EARLY, BRIEF * cost, SOME)] * (cost >= 1.0)]
         for count, share, least in rules:
             if taken < count:
                 continue

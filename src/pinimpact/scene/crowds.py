@@ -28,7 +28,8 @@ AS_CHEAP = 10.0
 MANY = 40
 """Number of active contacts above which the motion is left to time steps, with `scheme="auto"`: an
 event-driven step then takes as long as 64 of them. Ten separate boxes at rest have 40, and one event-driven
-step covers all of their rest."""
+step covers all of their rest. It does not hold for one robot, such as a can with 96 points on its rim: its
+impacts are few, and time steps of first order."""
 
 UNLOCATED = f"More than {MOST_IMPACTS} impacts in a time step: further ones are without restitution."
 """Note on the first contact whose restitution is lost because of `MOST_IMPACTS`."""
