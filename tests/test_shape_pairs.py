@@ -1112,6 +1112,25 @@ def test_box_rests_on_the_higher_one_of_two_floors():
 
 
 @pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
+def test_box_lands_on_two_level_floors_in_contacts_that_name_either_first(scheme):
+    """In the step of the landing the points of the box and those of the floors differ by their gaps."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="cube")
+    shapes = pin.GeometryModel(robot.collision_model)
+    for k, x in enumerate((-0.47, 0.53)):
+        at = pin.SE3(np.eye(3), np.array([x, 0.0, -0.1]))
+        shapes.addGeometryObject(pin.GeometryObject(f"floor {k}", 0, 0, at, coal.Box(1.0, 2.0, 0.2)))
+    contacts = [
+        Contact(geometry="cube", plane=Shape("floor 0"), friction=0.4),
+        Contact(geometry="floor 1", plane=Shape("cube"), friction=0.4),
+    ]
+    plane = Scene(robot, Contact(geometry="cube", plane=Plane(), friction=0.4))
+    v0, ends = np.array([0.3, 0.1, -0.5, 0.0, 0.0, 1.0]), []
+    for scene in (Scene(robot.model, contacts, geometry=shapes), plane):
+        ends.append(simulate(scene, pose(0.0, 0.0, 0.0702), v0, 0.08, scheme=scheme).q[-1])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["event-driven", "time-stepping"])
 def test_foot_between_others_at_another_height_carries_load(scheme):
     """Its friction has another arm, so it is no mean of those of the others."""
     feet = [

@@ -274,9 +274,12 @@ class FacingShapes:
             pair = every[0].pair
             if not contacts and self._rests[[pair.a.joint, pair.b.joint]].all():
                 continue  # as when they came to rest
-            normals, points = np.array([one.normal for one in every]), np.array([one.point for one in every])
-            gaps = np.einsum("ki,ki->k", normals, points - [one.other for one in every])
-            normals[[one.pair.a.joint != pair.a.joint for one in every]] *= -1.0
+            normals = np.array([one.normal for one in every])
+            points, others = np.array([(one.point, one.other) for one in every]).transpose(1, 0, 2)
+            gaps = np.einsum("ki,ki->k", normals, points - others)
+            swapped = [one.pair.a.joint != pair.a.joint for one in every]
+            normals[swapped] *= -1.0
+            points[swapped] = others[swapped]  # of the same body
             between = points_between(normals, points, gaps)
             for i in (i for i, lies in zip(found, between.tolist(), strict=True) if lies):
                 self._work.contact_constants[i] = self._blanks[i]
