@@ -14,6 +14,7 @@ from pinimpact.errors import InputError
 from pinimpact.geometry import touch_time as touch_time_module
 from pinimpact.geometry.convex_pair import Touch, follow, gap, touches
 from pinimpact.geometry.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
+from pinimpact.geometry.meeting_edges import normal_of_meeting
 from pinimpact.geometry.touch_time import PairState, first_touch
 from pinimpact.scene.shape_watch import bend_of_heights
 
@@ -367,3 +368,13 @@ def test_edges_that_become_parallel_are_abandoned():
     assert np.array_equal(found.normal, normal)
     start, end = a.vertices[cube.edges[0]]
     assert (found.touch.other - found.touch.point) @ (end - start) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_edge_that_approaches_another_along_a_different_direction_at_each_end():
+    """One end approaches the side of the other box, the other its top: the mirror image exchanges both."""
+    cube = box((0.2, 0.2, 0.2))
+    placed = [cube.at(np.eye(3), np.array([x, 0.0, x])) for x in (0.2, 0.0)]
+    ends = np.array([[1.0, 0.0, -2.0], [-2.0, 0.0, 1.0]])
+    normal, apart = normal_of_meeting(*placed, np.array([1.0, 0.0, 0.0]), lambda: ends, 1e-3, 1e-9, 0.0)
+    assert not apart
+    assert normal == pytest.approx(np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0))

@@ -27,9 +27,9 @@ def normal_of_meeting(
 
     Where parallel edges meet, or a corner meets an edge or a corner, all positive combinations of several
     directions separate the shapes. Of these it is the one closest to the direction of approach, as for edges
-    that are rounded with a small radius. It does not depend on the order of the shapes or of their faces.
-    Shapes that do not approach each other along one of the directions stay apart along it: a box that slides
-    from one face onto another, level with it, does not strike its side.
+    that are rounded with a small radius, in the mean of the points. It does not depend on the order of the
+    shapes or of their faces. Shapes that do not approach each other along one of the directions stay apart
+    along it: a box that slides from one face onto another, level with it, does not strike its side.
 
     Args:
         a: The first shape, A.
@@ -63,8 +63,8 @@ def normal_of_meeting(
         return normal, False
     from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
 
-    weights, _ = nnls(directions.T, velocities.mean(axis=0))
-    mean = weights @ directions
+    # points of an edge that turns may approach along different directions, and their mean along none
+    mean = np.mean([nnls(directions.T, velocity)[0] for velocity in velocities], axis=0) @ directions
     return np.asarray(mean / np.linalg.norm(mean)), False
 
 
