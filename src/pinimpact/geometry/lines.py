@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._kernels.constants import EDGE, FACING, LINE
+from ._kernels.constants import EDGE, FACE_EDGE, LINE
 from .surfaces import Surface, Vector
 
 
@@ -43,4 +43,4 @@ class Edge(Line):
 class FacingEdge(Edge):
     """An edge of a face for one of a face in the same plane: n is the normal of the face."""
 
-    code: ClassVar[int] = FACING
+    code: ClassVar[int] = FACE_EDGE

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..checks import finite_array, with_valid
 from ..errors import InputError
-from ..geometry._kernels.constants import EDGE, FACING, LINE, PLANE, TIP_PLANE
+from ..geometry._kernels.constants import EDGE, FACE_EDGE, LINE, PLANE, TIP_PLANE
 from ..geometry.convex_pair import CODES, Gap, Touch, at_one_place, between_faces, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, FacingEdge, Line
@@ -182,7 +182,9 @@ def point_contact(
     if kind not in ("vertex-face", "edge-edge") and one.radius + other.radius == 0.0:
         return PointContact(touch, instant, None, False)
     facing = facing and between_faces(touch, placed[0], placed[1], normal) is not None
-    lasting = _of_features(FACING if facing else CODES[kind], one, other, (p, q), normal, seen.edges(*placed))
+    lasting = _of_features(
+        FACE_EDGE if facing else CODES[kind], one, other, (p, q), normal, seen.edges(*placed)
+    )
     return PointContact(touch, instant, lasting, swapped)
 
 
@@ -214,9 +216,9 @@ def _of_features(
     if kind == PLANE:
         return one.tip(p, other.plane(q, normal))
     u, w = edges
-    if kind in (EDGE, FACING):
+    if kind in (EDGE, FACE_EDGE):
         u, w = u - (u @ normal) * normal, w - (w @ normal) * normal
-        edge = (FacingEdge if kind == FACING else Edge)(
+        edge = (FacingEdge if kind == FACE_EDGE else Edge)(
             **other.line(q, w if cross(u, w) @ normal > 0.0 else -w, normal)
         )
         return replace(one.tip(p, edge), axis=one.turn(u / np.linalg.norm(u)))

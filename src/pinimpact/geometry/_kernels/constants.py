@@ -16,7 +16,7 @@ TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, LINE_AXIS, 
     *(24, 25, 28, 31),
 )
 
-PLANE, SPHERE, LINE, EDGE, TIP_PLANE, FACING = range(6)
+PLANE, SPHERE, LINE, EDGE, TIP_PLANE, FACE_EDGE = range(6)
 """The codes of kinds: a line is for points and spheres, an edge for edges, both with a radius. With the next
 the tip is a plane, whose inward normal stands in place of the rim's axis, and the surface a sphere about its
 point. The last is an edge for edges, with the normal of a plane: both bound faces in that plane."""

@@ -92,7 +92,7 @@ def relative(R, S, k):
         e1, e2, e3, s = towards_plane(R, S, k)
         if s > 0.0:
             c1, c2, c3 = c1 - k[layout.RIM] / s * e1, c2 - k[layout.RIM] / s * e2, c3 - k[layout.RIM] / s * e3
-    if k[layout.KIND] == layout.EDGE or k[layout.KIND] == layout.FACING:
+    if k[layout.KIND] == layout.EDGE or k[layout.KIND] == layout.FACE_EDGE:
         u1, u2, u3 = direction(R, k, layout.RIM_AXIS)
         e1, e2, e3 = direction(S, k, layout.LINE_AXIS)
         f1, f2, f3 = cross(u1, u2, u3, e1, e2, e3)

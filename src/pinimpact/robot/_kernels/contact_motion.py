@@ -263,7 +263,7 @@ def rates_at_contact(R, V, S, U, k, at):
     along = 0.0
     if k[layout.KIND] == layout.EDGE:
         l1, l2, l3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
-    elif k[layout.KIND] == layout.FACING:
+    elif k[layout.KIND] == layout.FACE_EDGE:
         along = _along_edge(R, S, k, a1, a2, a3, l1, l2, l3)
         l1 = l2 = l3 = 0.0
     else:
@@ -277,7 +277,7 @@ def rates_at_contact(R, V, S, U, k, at):
     if k[layout.RIM] > 0.0:
         a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
         p1, p2, p3 = p1 + a1, p2 + a2, p3 + a3
-    if k[layout.KIND] == layout.EDGE or k[layout.KIND] == layout.FACING:
+    if k[layout.KIND] == layout.EDGE or k[layout.KIND] == layout.FACE_EDGE:
         a1, a2, a3 = direction(R, k, layout.RIM_AXIS)
         p1, p2, p3 = p1 + along * a1, p2 + along * a2, p3 + along * a3
     return l1, l2, l3, m1, m2, m3, p1, p2, p3
