@@ -16,7 +16,7 @@ from ._kernels.contact_forces import FREE, HELD, SLIP
 from ._kernels.lie_charts import magnitudes
 from ._kernels.tolerances import FIRST_STEP
 from .crowds import cost_of_step
-from .effects import CROWD
+from .effects import LARGE
 from .event_watch import EventWatch
 from .hybrid_state import HybridState
 from .integrator import Integrator
@@ -184,7 +184,7 @@ class Alternating(TimeStepping):
                 stacklevel=2,
             )
         soon = state.t - state.handed_back <= SOON * state.interval
-        lasts = bool(self.shapes) or self.work.active_contacts > CROWD  # aligned faces stay so for a while
+        lasts = bool(self.shapes) or self.work.active_contacts > LARGE  # aligned faces stay so for a while
         if soon or lasts:
             state.coarse = self._longest if lasts else min(2.0 * state.coarse, self._longest)
             state.interval = max(2.0 * state.interval * soon, CHUNK * state.coarse)

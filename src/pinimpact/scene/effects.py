@@ -37,7 +37,7 @@ SWITCHABLE = (
 )
 """Effects that can be switched off by name."""
 
-CROWD = 30
+LARGE = 30
 """Number of contacts above which a plan names `scheme="auto"`, and time steps of intervals are full."""
 
 DERIVED = ("normal-tangential coupling", "spatial slip", "simultaneous impacts")
@@ -174,7 +174,7 @@ def make_plan(scene: Scene, control: str, events: Sequence[str]) -> Plan:
         Effect("simultaneous impacts", several, f"{resolved}{scene.simultaneous!r}" if several else none)
     )
     faces = any(contact.pair is not None for contact in contacts)
-    scheme = "auto" if faces or watched > CROWD else "event-driven"
+    scheme = "auto" if faces or watched > LARGE else "event-driven"
     return Plan(tuple(effects), resting_speed, unreachable, scheme)
 
 
