@@ -16,7 +16,7 @@ from ..arrays import Array
 from ..checks import finite_array, with_valid
 from ..errors import InputError
 from ..geometry._kernels.constants import EDGE, FACE_EDGE, LINE, PLANE, TIP_PLANE
-from ..geometry.convex_pair import CODES, Gap, Touch, at_one_place, between_faces, gap, touches
+from ..geometry.convex_pair import CODES, Gap, Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, FacingEdge, Line
 from ..geometry.meeting_edges import last_separated, normal_of_meeting
@@ -166,7 +166,7 @@ def point_contact(
     """Return the contacts of a contact point of two shapes, at the configuration of `data`.
 
     The shapes are `placed` there, with a normal (3,) from B to A; the basis has coefficients and name.
-    `facing` is whether faces may stay in one plane where two of their edges cross.
+    `facing` is whether two edges cross there that bound faces in one plane, see `between_faces`.
     """
     one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
     instant = one.tip(touch.point, other.plane(touch.other, normal))
@@ -181,7 +181,6 @@ def point_contact(
         return PointContact(touch, instant, instant, False)
     if kind not in ("vertex-face", "edge-edge") and one.radius + other.radius == 0.0:
         return PointContact(touch, instant, None, False)
-    facing = facing and between_faces(touch, placed[0], placed[1], normal) is not None
     lasting = _of_features(
         FACE_EDGE if facing else CODES[kind], one, other, (p, q), normal, seen.edges(*placed)
     )

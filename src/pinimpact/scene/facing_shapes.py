@@ -243,7 +243,8 @@ class FacingShapes:
     @property
     def _used(self) -> Integers:
         """(p,) Number of the corners of each pair, boxes first."""
-        return np.array([*self._facing.used, *(places.used for places in self._pairs)], dtype=np.int64)
+        others = np.array([places.used for places in self._pairs], dtype=np.int64)
+        return np.concatenate([self._facing.used, others])
 
     def _corners_of(self, p: int) -> dict[int, Corner]:
         """Return the corners of a pair, boxes first, by number of the contact."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.optimize import nnls
 
 from ..arrays import Array, Bools
 from ..geometry.tolerances import CLOSE, COINCIDE, FACE
@@ -67,6 +66,8 @@ def within_hull(points: Array) -> Bools:
 
     Distances up to `COINCIDE`, relative to the extent of the points, are taken as zero.
     """
+    from scipy.optimize import nnls  # takes a tenth of a second to import, and is rarely needed
+
     every = points - points[0]
     size = float(np.linalg.norm(every, axis=1).max())
     rows = np.vstack([every.T, np.full(len(every), size)])

@@ -165,7 +165,7 @@ class SceneImpacts:
         e, limit = self._limit_restitution, self._dynamics.limits[i - len(self._dynamics.contacts)]
         resting = e > 0.0 and (slow or e * approach < self._resting_speed)
         e = 0.0 if resting else e
-        _, matrices = self._matrices(PlacedRobot(self._model, self._data, q), [i])
+        _, matrices = self._matrices(q, [i])
         c, k = float(matrices.delassus[2, 2]), limit.index_v
         constrained = self._held or self._locked
         if constrained and c <= ROUNDING * float(inverse_mass(self._model, self._data, q)[k, k]):
@@ -205,14 +205,13 @@ class SceneImpacts:
         touching = self._connected(first, touching)
         if len(touching) == 1:
             return None
-        every, matrices = self._matrices(PlacedRobot(self._model, self._data, q), touching)
+        every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])
         work = self._dynamics.work  # gap rates of active contacts are errors of steps
         least = max(work.least_approach, work.certain_speed)
         parts = np.empty(len(touching), dtype=np.int64)
-        rates = velocity[:, 2].copy()
-        place = touching.index(first) if first in touching else int(np.argmin(rates))
+        place, rates = touching.index(first), velocity[:, 2].copy()
         coupled = taking_part(matrices.delassus, friction, rates, least, place, parts)
         chosen = parts.nonzero()[0]
         struck = [every[k] for k in chosen.tolist()]
@@ -274,7 +273,7 @@ class SceneImpacts:
         """
         if not touching:
             return None
-        every, matrices = self._matrices(PlacedRobot(self._model, self._data, q), touching)
+        every, matrices = self._matrices(q, touching)
         velocity = matrices.velocity(v)
         velocity[:, 2] = np.minimum(velocity[:, 2], 0.0)
         velocity[~slips, :2] = 0.0
@@ -334,14 +333,13 @@ class SceneImpacts:
         of = islands(self._roots, ends)[ends.max(axis=1)]
         return [i for i, island in zip(touching, of[1:].tolist(), strict=False) if island == of[0]]
 
-    def _matrices(
-        self, placed: PlacedRobot, touching: Sequence[int]
-    ) -> tuple[list[Contact | None], ManyMatrices]:
+    def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
         """Return the contacts, with None for each limit, and their matrices."""
         count = len(self._dynamics.contacts)
         every = [self._dynamics.contacts[i] if i < count else None for i in touching]
         contacts = [contact for contact in every if contact is not None]
         limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
+        placed = PlacedRobot(self._model, self._data, q)
         return every, matrices_of_all(placed, contacts, limits, self._held, self._mobility)
 
     def _solve(

@@ -283,7 +283,7 @@ class TouchingPoints:
             watched.update(points=points, normals=normals)
 
     def _point(
-        self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array, facing: bool = True
+        self, watched: Watched, i: int, placed: Placed, touch: Touch, normal: Array, facing: bool = False
     ) -> PointContact:
         return point_contact(watched.pair, self._data, placed, normal, touch, self._open[i], facing)
 
@@ -303,7 +303,8 @@ class TouchingPoints:
         for i, touch in zip(free, fresh, strict=False):
             face = between_faces(touch, *placed, normal)
             along = normal if face is None else face
-            self._assign(watched, i, self._point(watched, i, placed, touch, along), along)
+            point = self._point(watched, i, placed, touch, along, face is not None)
+            self._assign(watched, i, point, along)
         if fresh:
             watched.update(flush=NOTHING.flush)
         return free[: len(fresh)]
@@ -408,14 +409,13 @@ class TouchingPoints:
 
     def let_tip(self) -> None:
         """Give crossings of edges their own normal if the points of their pair do not span a face. (15.3)"""
-        if self._state.touching:
-            forward_kinematics(self._model, self._data, self._state.q, self._state.v)
         for watched in self._touching():
             flat = [
                 i for i, p in watched.acting.items() if p.lasting and isinstance(p.lasting.plane, FacingEdge)
             ]
             if not flat:
                 continue
+            forward_kinematics(self._model, self._data, self._state.q, self._state.v)
             placed = watched.pair.placed(self._data)
             now = {one.number: one for one in self._located(watched)}
             points = np.array([now[i].touch.point for i in watched.acting])
@@ -425,7 +425,7 @@ class TouchingPoints:
                 continue
             for i in flat:
                 touch, normal = now[i].touch, now[i].normal
-                self._assign(watched, i, self._point(watched, i, placed, touch, normal, False), normal)
+                self._assign(watched, i, self._point(watched, i, placed, touch, normal), normal)
 
     def swapped(self) -> Integers:
         """Return the contacts whose forces act on the second shape of their pair."""
