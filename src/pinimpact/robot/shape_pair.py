@@ -42,6 +42,11 @@ class ShapePair:
     b: CarriedShape  # the other shape; normals point from it to `a`
 
     @property
+    def radius(self) -> float:
+        """Sum of the radii that round both cores [m]."""
+        return self.a.shape.radius + self.b.shape.radius
+
+    @property
     def most_points(self) -> int:
         """Largest number of contact points of the two, including one that replaces another."""
         corners = [max([len(face) for face in one.shape.faces], default=0) for one in (self.a, self.b)]

@@ -200,7 +200,7 @@ class FacingShapes:
             within = touching if touching >= 0.0 else self._within[p]
             placed = places.pair.placed(self._data)
             faces = patch(*placed, within) if close[p] else None
-            if faces is not None and not (places.pair.a.shape.radius or places.pair.b.shape.radius):
+            if faces is not None and places.pair.radius == 0.0:
                 # in steps, the distance from the start to the midpoint
                 depth = within if touching >= 0.0 else 0.5 * within
                 others = np.array([one.normal for one in ties(*placed, faces.normal, depth)])

@@ -215,7 +215,7 @@ class SceneLayout:
             np.concatenate(placed),
             np.column_stack([np.concatenate([[0], last[1:-1:2]]), last[::2], last[1::2]]),
             np.array([side.joint for side in sides], dtype=np.int64).reshape(len(pairs), 2),
-            np.array([pair.a.shape.radius + pair.b.shape.radius for pair in pairs]),
+            np.array([pair.radius for pair in pairs]),
             np.array([side.in_joint.act(side.shape.center) for side in sides]),
             reaches,
             np.array([motion_signs(self._model, side.joint, 0) != 0.0 for side in sides], dtype=np.int64),

@@ -33,7 +33,7 @@ def with_common_faces(pairs: Iterable[tuple[ShapePair, Contact]]) -> list[list[i
     """
     alike: dict[tuple[object, ...], list[int]] = {}
     for number, (pair, contact) in enumerate(pairs):
-        if pair.a.shape.radius + pair.b.shape.radius == 0.0:
+        if pair.radius == 0.0:
             joints = sorted((pair.a.joint, pair.b.joint))
             alike.setdefault((*joints, *law_of(contact)), []).append(number)
     return [numbers for numbers in alike.values() if len(numbers) > 1]

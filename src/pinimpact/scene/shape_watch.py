@@ -320,7 +320,7 @@ class ShapeWatch(TouchingPoints):
             arriving = self._add(watched, found, placed, normal)
             if arriving:
                 return arriving
-            if watched.radius == 0.0:
+            if watched.pair.radius == 0.0:
                 flush = (frozenset(np.flatnonzero(low <= slack).tolist()) for low in (low_a, low_b))
                 watched.update(flush=tuple(flush))
                 return []
@@ -328,7 +328,7 @@ class ShapeWatch(TouchingPoints):
 
     def _slack(self, watched: Watched, placed: Placed) -> float:
         """Return the gap up to which corners count as touching [m]: the tolerance or the constraint drift."""
-        radius = watched.radius
+        radius = watched.pair.radius
         worst = 0.0
         for i, point in watched.points.items():
             now = follow(point.touch, *placed, watched.normals[i])
@@ -359,7 +359,7 @@ class ShapeWatch(TouchingPoints):
         self._set(self._later(watched, step, t, q, v))
         placed = watched.pair.placed(self._data)
         slack = self._slack(watched, placed)
-        round_ = watched.radius > 0.0
+        round_ = watched.pair.radius > 0.0
         apart = gap(*placed)
         found = touches(*placed, apart.normal, slack) if round_ else []
         known = {(touch.kind, touch.features) for touch in found}

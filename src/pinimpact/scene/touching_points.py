@@ -244,7 +244,7 @@ class TouchingPoints:
             joining, velocity = [], watched.pair.relative_velocity(self._data)
             for touch in every:
                 rate = float(velocity(touch.point) @ normal)
-                height = float((touch.point - touch.other) @ normal) - watched.radius
+                height = float((touch.point - touch.other) @ normal) - watched.pair.radius
                 if height <= min(max(self.tolerance, -soon * rate), most):
                     joining += [touch] if fresh or rate < -self._work.resting_speed else []
             filled += self._add(watched, joining, placed, normal)

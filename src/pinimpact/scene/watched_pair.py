@@ -52,11 +52,6 @@ class Watched:
         return min(self.pair.a.shape.reach, self.pair.b.shape.reach)
 
     @property
-    def radius(self) -> float:
-        """Sum of the radii that round both cores [m]."""
-        return self.pair.a.shape.radius + self.pair.b.shape.radius
-
-    @property
     def coincidence(self) -> float:
         """Distance below which points of the shapes coincide [m]."""
         return coincidence(self.pair.a.shape, self.pair.b.shape)
